@@ -227,11 +227,8 @@ def held(trial: tuple[str, Any]) -> Held:
     name, fly_it = trial
     m = fly_it()
     case = cases.measured(m, name, None)
-    untold = {
-        "actuators.delay": 0.0, "actuators.time_constant": 0.0, "actuators.estimate_delay": True,
-        "structure": "augmented" if name.startswith("plant") else "flight_dynamics",
-    }  # fmt: skip
-    track = cases.identify(case, untold)
+    structure = "augmented" if name.startswith("plant") else "flight_dynamics"
+    track = cases.identify(case, verdict_flights.UNTOLD | {"structure": structure})
     # Half a block later all that was excited is judged.
     begun = track.at(EXCITED + 0.5 * HORIZONS[-1])
     after = track.delay[begun:]
@@ -256,7 +253,7 @@ def judged(trial: tuple[str, bool, Any]) -> Result:
     true = m.flight.delay + m.flight.time_constant
     structure = STRUCTURES["flight_dynamics"]
     speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
-    unset = {"actuators.delay": 0.0, "actuators.time_constant": 0.0, "airspeed.reference": speed}
+    unset = verdict_flights.UNTOLD | {"airspeed.reference": speed}
     case = cases.measured(m, name, None)
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0

@@ -30,6 +30,7 @@ from typing import Any
 import bench
 import numpy as np
 from loop import Loop
+from verdict_flights import UNTOLD
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Excitation, Fallback
 from uav_ident_ros.control import RateController
@@ -108,10 +109,7 @@ class Flight:
         else:
             self.aircraft = LiveQuadrotor(SENSORS, delay, (), seed)
         if untold:
-            identified |= {
-                "actuators.delay": 0.0, "actuators.time_constant": 0.0,
-                "actuators.estimate_delay": True,
-            }  # fmt: skip
+            identified |= UNTOLD
         self.settings = Settings.from_values(identified)
         self.identifier = OnlineIdentifier(self.settings)
         known = Coefficients.from_file(CONFIG / f"{name}_coefficients.yaml")

@@ -107,14 +107,6 @@ def identify(flight: Flight, segments: Sequence[Segment], seed: int) -> list[Est
     return [estimate for _ in fed for estimate in identifier.advance()]
 
 
-def true_coefficients() -> FloatArray:
-    """Lay out the truth in the structure, (7, 15)."""
-    out = np.zeros(STRUCTURE.mask.shape)
-    for name, value in TRUTH.items():
-        out[STRUCTURE.index(name)] = value
-    return out
-
-
 def covariances(flight: Flight, gust: float) -> FloatArray:
     """Cramér-Rao bound of the dominant derivatives at the ticks, (K, D, D)."""
     every = round(flight.rate / RATE)
@@ -159,7 +151,7 @@ def covariances(flight: Flight, gust: float) -> FloatArray:
 def linearised(gust: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Transition of the states over a sample, what the sensors see of them, gust variances."""
     a = np.zeros((STATES, STATES))
-    c = true_coefficients()
+    c = verdict_flights.coefficients(STRUCTURE, TRUTH)
     beta, alpha = (STRUCTURE.column(name) for name in ("beta", "alpha"))
     rates = slice(STRUCTURE.column("p"), STRUCTURE.column("r") + 1)
     rows = np.zeros((5, STATES))  # of the accelerations and forces

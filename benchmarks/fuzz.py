@@ -29,9 +29,9 @@ import numpy as np
 sys.path[:0] = [str(bench.ROOT / "test"), str(bench.ROOT / "test" / "import_logs")]
 
 from blackbox_writing import blackbox  # noqa: E402
+from excerpts import rewritten  # noqa: E402
 from good_logs import COLUMNS, TABLE, plane_log, ulog  # noqa: E402
 from mcap.writer import CompressionType  # noqa: E402
-from mcap_writing import rewritten  # noqa: E402
 
 from uav_ident_ros.bags.reading import Bag, BagError  # noqa: E402
 from uav_ident_ros.identification.settings import SettingsError  # noqa: E402

@@ -48,6 +48,11 @@ AIRFRAMES = Path(__file__).parent / "airframes"
 DELAY = 0.02
 """Delay of the actuators, told, s."""
 
+UNTOLD = {
+    "actuators.delay": 0.0, "actuators.time_constant": 0.0, "actuators.estimate_delay": True,
+}  # fmt: skip
+"""Settings of who knows neither delay nor lag: the flight is to show them."""
+
 SENSORS = Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15, stamped=True)
 WEAK = Sensors(rate=25.0, gyro_noise=0.03, accelerometer_noise=0.6, stamped=True)
 
@@ -230,6 +235,17 @@ def _old_knowledge(seed: int, length: float) -> Iterator[Trial]:
         yield _trial("old_knowledge", seed, aircraft, words, fields, **flight, changes=reversed_)
 
 
+def _changed(seed: int, length: float) -> Iterator[Trial]:
+    """Excited all the time; a surface fails, and is to be known again."""
+    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 2), ("T37", 0),
+                           ("ultra_stick_25e", 1)):  # fmt: skip
+        for surface, factor in (("dr", -1.0), ("dr", 0.5), ("de", 0.5), ("da", 0.5)):
+            flight = {"wind": wind, "duration": length * 110.0, "scale": 0.5, **ALWAYS}
+            changes = (CoefficientChange(length * CHANGED, {surface: factor}),)
+            words = f"{surface} x {factor:g}"
+            yield _trial("changed", seed, aircraft, words, {}, changes=changes, **flight)
+
+
 def _thinned(measured: Measurements) -> Measurements:
     """Keep the commands of every tenth of a second."""
     step = round(0.1 / (np.median(np.diff(measured.actuator_t_ns)) * 1e-9))
@@ -267,16 +283,13 @@ def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
 
 def _untold(seed: int, length: float) -> Iterator[Trial]:
     """Excited, told neither delay nor lag: the flight is to show them."""
-    settings = {
-        "actuators.delay": 0.0, "actuators.time_constant": 0.0, "actuators.estimate_delay": True,
-    }  # fmt: skip
     late = ((0.0, 0.0), (0.05, 0.0), (0.0, 0.06), (0.05, 0.12))
     for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 2), ("T37", 2), ("A4", 2),
                            ("ultra_stick_25e", 2)):  # fmt: skip
         for (delay, lag), rough in product(late, (False, True)):
             words = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms, {'wind' if rough else 'calm'}"
             flight = {"bank": 20.0, "wind": rough * wind, "delay": delay, "time_constant": lag}
-            fields, duration = {"settings": settings}, length * 110.0
+            fields, duration = {"settings": UNTOLD}, length * 110.0
             yield _trial(
                 "untold", seed, aircraft, words, fields, duration=duration, **flight, **ALWAYS
             )
@@ -447,6 +460,7 @@ def _recorded(seed: int, length: float) -> Iterator[Trial]:
 CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "feedback": _feedback,
     "old_knowledge": _old_knowledge,
+    "changed": _changed,
     "unmodelled": _unmodelled,
     "untold": _untold,
     "weak": _weak,

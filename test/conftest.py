@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """For all tests: BLAS threads, signals, drawn examples, and a ROS domain of their own."""
 
+import fcntl
 import gc
+import os
 import signal
 from collections.abc import Iterator
 from itertools import groupby
@@ -9,7 +11,6 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from once import made_once
 
 # The package limits BLAS's threads by the environment, so it must load before NumPy.
 import uav_ident_ros  # noqa: F401
@@ -75,11 +76,18 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def replayed_example(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results and report of a replay of the JSBSim aircraft's committed bag."""
+    """Results and report of a replay of the JSBSim aircraft's committed bag.
 
-    def make(folder: Path) -> None:
-        from excerpts import BAGS, replay
+    The first worker of the run that needs it makes it, for all.
+    """
+    from excerpts import BAGS, replay
 
-        assert replay(BAGS / "c172p", folder / "c172p", "--report", by="c172p") == 0
-
-    return made_once(tmp_path_factory, "replays", make) / "c172p"
+    root = tmp_path_factory.getbasetemp()
+    root = root.parent if "PYTEST_XDIST_WORKER" in os.environ else root
+    made, done = root / "replays" / "c172p", root / "replays.done"
+    with (root / "replays.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            assert replay(BAGS / "c172p", made, "--report", by="c172p") == 0
+            done.touch()
+    return made

@@ -4,6 +4,7 @@
 from collections.abc import Callable, Mapping
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray, Structure
@@ -41,6 +42,13 @@ def flight_equations(a: FloatArray, state: FloatArray, u: FloatArray, v: float) 
         p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll)),
         q * np.cos(roll) - r * np.sin(roll),
     ])  # fmt: skip
+
+
+def flown(a: FloatArray, state: FloatArray, u: FloatArray, v: float, seconds: float) -> FloatArray:
+    """The state that these equations lead to with inputs that are held."""
+    return solve_ivp(
+        lambda _, x: flight_equations(a, x, u, v), (0.0, seconds), state, rtol=1e-10, atol=1e-12
+    ).y[:, -1]
 
 
 def slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
 from repository import ROOT
 
 from uav_ident_ros.bags.reading import Bag, Message
-from uav_ident_ros.bags.writing import BagWriter
+from uav_ident_ros.bags.writing import BagWriter, jazzy_types
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline import main
 from uav_ident_ros.offline.run import OfflineRun, run_over
@@ -18,6 +20,9 @@ from uav_ident_ros.offline.run import OfflineRun, run_over
 BAGS = ROOT / "bags"
 IMU, ACTUATORS = "/imu/data", "/actuators"
 SECOND_NS = 1_000_000_000
+START_NS = 1_700_000_000 * SECOND_NS
+"""When the flight of every committed bag begins."""
+
 PARAMETERS = BAGS / "multisine" / "identifier.yaml"
 
 Entry = tuple[str, int, Any]
@@ -35,7 +40,7 @@ def excerpt(
     with Bag(BAGS / source) as bag, BagWriter(target) as writer:
         decoders = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
         announced: set[str] = set()
-        first_ns = bag.start_ns + round(begin * SECOND_NS)
+        first_ns = START_NS + round(begin * SECOND_NS)
         for topic, log_ns, data in bag.messages([IMU, ACTUATORS]):
             if log_ns < first_ns:
                 continue
@@ -94,3 +99,35 @@ def replayed_run(
 
 def summary(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+
+
+TYPES = {IMU: "sensor_msgs/msg/Imu", ACTUATORS: "sensor_msgs/msg/JointState"}
+
+CHUNK = 100_000
+"""Size of the chunks, bytes: about a second of the flight."""
+
+
+def rewritten(
+    target: Path,
+    *,
+    compression: CompressionType = CompressionType.NONE,
+    use_chunking: bool = True,
+    seconds: float,
+    chunk: int = CHUNK,
+) -> Path:
+    """Write the start of a flight as a recorder does: small chunks, with checksums."""
+    with Bag(BAGS / "multisine") as bag, target.open("wb") as file:
+        writer = McapWriter(
+            file, chunk_size=chunk, compression=compression, use_chunking=use_chunking
+        )
+        writer.start(profile="ros2", library="test")
+        channels = {}
+        for topic, name in TYPES.items():
+            definition = jazzy_types().generate_msgdef(name)[0].encode()
+            schema = writer.register_schema(name, "ros2msg", definition)
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+        for topic, log_ns, data in bag.messages(TYPES):
+            if log_ns <= START_NS + seconds * 1e9:
+                writer.add_message(channels[topic], log_ns, data, log_ns)
+        writer.finish()
+    return target

@@ -3,16 +3,27 @@
 
 import os
 import pty
+import re
 import select
 import subprocess
 import sys
 import termios
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from signal import Signals
 from typing import Any
 
 import pytest
 from repository import ROOT
+
+from uav_ident_ros.process import NodeProcess
+
+PATIENCE = 120.0
+"""Seconds after which something that must happen is missed: nothing waits for them otherwise, and
+a machine with much other work may need them."""
+
+StartNode = Callable[..., NodeProcess]
 
 Capture = pytest.CaptureFixture[str]
 """What a test reads that a program printed."""
@@ -36,6 +47,22 @@ def refusal(main: Callable[[Sequence[str]], int], arguments: Sequence[str], caps
     return str(line)
 
 
+def wait_for(condition: Callable[[], bool], timeout: float = PATIENCE) -> bool:
+    """Wait until `condition` holds; return whether it does."""
+    end = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def handled(pid: int, number: Signals) -> bool:
+    """Whether a process has a handler for a signal."""
+    caught = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
+    return caught is not None and bool(int(caught[1], 16) >> (number - 1) & 1)
+
+
 class Terminal:
     """A program on a terminal of 24 lines; `options` may lead its streams elsewhere."""
 
@@ -49,7 +76,7 @@ class Terminal:
         os.close(side)
         self.received = ""
 
-    def read_until(self, words: str, timeout: float = 120.0) -> bool:
+    def read_until(self, words: str, timeout: float = PATIENCE) -> bool:
         """Read until the words were shown, or the program ends; return whether they were."""
         end = time.monotonic() + timeout
         while words not in self.received and time.monotonic() < end:

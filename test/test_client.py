@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from equations import AIRCRAFT, flight_equations, matrix, slope
+from equations import AIRCRAFT, flight_equations, flown, matrix, slope
 from estimates import as_message, estimate_of
 from hypothesis import given
 from hypothesis import strategies as st
@@ -174,10 +174,7 @@ def test_acceleration_with_flow_angles_is_that_of_the_rows() -> None:
 
 def test_prediction_with_flow_angles_follows_from_the_message_alone() -> None:
     start = np.array([*STATE, FLOW.roll, FLOW.pitch])
-    solution = solve_ivp(
-        lambda _, state: flight_equations(flying().values, state, CONTROL, FLOW.airspeed),
-        (0.0, 2.0), start, rtol=1e-9, atol=1e-11, method="DOP853",
-    ).y[:, -1]  # fmt: skip
+    solution = flown(flying().values, start, CONTROL, FLOW.airspeed, 2.0)
     np.testing.assert_allclose(flying().predict(STATE, CONTROL, 2.0), solution[:5], atol=1e-6)
     three = flying().predict(STATE[:3], CONTROL, 0.5)
     whole = flying().predict(np.array([*STATE[:3], FLOW.beta, FLOW.alpha]), CONTROL, 0.5)

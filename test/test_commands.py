@@ -12,12 +12,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from excerpts import BAGS, excerpt
+from good_logs import ulog
 from repository import ROOT
 from test_docs import DOCS, README, code_blocks, page_id, text_of
-from ulog_writing import commands, sensor_combined, write_ulog
 
 from uav_ident_ros.offline import NOT_USABLE
 
@@ -48,13 +47,7 @@ def folder(tmp_path: Path) -> Path:
     shutil.copytree(tmp_path / "bags" / "multisine", tmp_path / "BAG")
     (tmp_path / "vehicle.yaml").symlink_to(BAGS / "multisine" / "identifier.yaml")
     (tmp_path / "config").symlink_to(ROOT / "config")
-    t_ns = 5_000_000 * np.arange(1, round(200 * SECONDS))
-    values = np.random.default_rng(1).normal(size=(len(t_ns), 3))
-    topics = {
-        ("sensor_combined", 0): sensor_combined(t_ns, values, values),
-        ("vehicle_torque_setpoint", 0): commands(t_ns[::4], values[::4], "xyz"),
-    }
-    write_ulog(tmp_path / "flight.ulg", topics, {})
+    ulog(tmp_path).rename(tmp_path / "flight.ulg")
     (tmp_path / "output").mkdir()
     programs = tmp_path / ".venv" / "bin"
     programs.mkdir(parents=True)

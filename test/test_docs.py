@@ -134,7 +134,7 @@ def test_every_command_exists_and_knows_its_options(page: Path) -> None:
         if words[0].startswith(".venv/bin/"):
             name = words[0].removeprefix(".venv/bin/")
             assert name in executables, f"{page_id(page)}: there is no executable '{name}'"
-            check_options(page, name, words[1:])
+            check_options(page, name, executables[name].partition(":")[0], words[1:])
         elif words[0].startswith("scripts/"):
             script = ROOT / words[0]
             assert os.access(script, os.X_OK), f"{page_id(page)}: '{words[0]}' cannot be run"
@@ -163,18 +163,11 @@ def test_replay_commands_fit_the_bags_that_they_name() -> None:
     assert tried >= 4
 
 
-def check_options(page: Path, name: str, words: list[str]) -> None:
+def check_options(page: Path, name: str, module: str, words: list[str]) -> None:
     """Hold the options of a command against its help."""
     if name == "identifier":
         assert words[0] == "--ros-args"
         return
-    module = {
-        "fleet": "uav_ident_ros.offline.fleet_command",
-        "import_log": "uav_ident_ros.import_logs.cli",
-        "monitor": "uav_ident_ros.monitor.cli",
-        "replay": "uav_ident_ros.offline",
-        "simulate": "uav_ident_ros.simulation.cli",
-    }[name]
     known = help_of(module)
     for word in words:
         if word.startswith("--"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adapters of every supported message type, the CDR reader, and what the outputs hold."""
+"""Adapters of every supported message type, the CDR reader, and messages without a time."""
 
 import itertools
 import math
@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from estimates import estimate_of
 from programs import python
 
 from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.writing import NOT_MEASURED, UNKNOWN, jazzy_types
-from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.flow import FlowState
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.samples import ARMED
 from uav_ident_ros.identification.settings import (
     ACTUATOR_TYPES,
     AIRSPEED_TYPES,
@@ -22,27 +21,9 @@ from uav_ident_ros.identification.settings import (
     RATE_TYPES,
     Settings,
 )
-from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages import types
-from uav_ident_ros.messages.feed import decode_imu_cdr
-from uav_ident_ros.messages.published import (
-    coefficients_layout,
-    dense_coefficients,
-    entry_names,
-    named_entries,
-)
-from uav_ident_ros.messages.types import (
-    ACTUATORS,
-    AIRSPEEDS,
-    ARMINGS,
-    RATES,
-    ActuatorReader,
-    ChannelError,
-    MessageTypeError,
-    RatesReading,
-    frame_fault,
-    import_type,
-)
+from uav_ident_ros.messages.feed import Feed, decode_imu_cdr
+from uav_ident_ros.messages.streams import STREAMS
 
 STAMP_NS = 1_700_000_001_250_000_003
 PX4_US = 1_700_000_001_250_007
@@ -106,43 +87,46 @@ OPTIONAL = [
 ]  # fmt: skip
 
 
-def reader(**actuators: Any) -> ActuatorReader:
+def reader(**actuators: Any) -> types.ActuatorReader:
     values = {f"actuators.{name}": value for name, value in actuators.items()}
     n = len(values.get("actuators.channels", CHANNELS))
     values |= {f"actuators.mixing.{row}": [1.0] * n for row in ("de", "dr", "da", "dth")}
-    return ActuatorReader(Settings.from_values(values).actuators)
+    return types.ActuatorReader(Settings.from_values(values).actuators)
 
 
 def test_every_declared_type_is_read() -> None:
-    assert tuple(RATES) == RATE_TYPES
-    assert tuple(ACTUATORS) == ACTUATOR_TYPES == tuple(ACTUATOR_MESSAGES)
-    assert (*AIRSPEEDS, *ARMINGS) == (*AIRSPEED_TYPES, *ARMED_TYPES)
-    assert {name for name, _, _ in OPTIONAL} == {*AIRSPEEDS, *ARMINGS}
+    assert tuple(types.RATES) == RATE_TYPES
+    assert tuple(types.ACTUATORS) == ACTUATOR_TYPES == tuple(ACTUATOR_MESSAGES)
+    assert (*types.AIRSPEEDS, *types.ARMINGS) == (*AIRSPEED_TYPES, *ARMED_TYPES)
+    assert {name for name, _, _ in OPTIONAL} == {*types.AIRSPEEDS, *types.ARMINGS}
     for name, message, (stamp_ns, value) in OPTIONAL:
-        assert {**AIRSPEEDS, **ARMINGS}[name](message) == (stamp_ns, pytest.approx(value)), name
+        assert {**types.AIRSPEEDS, **types.ARMINGS}[name](message) == (
+            stamp_ns,
+            pytest.approx(value),
+        ), name
     for name, (message, stamp_ns) in ACTUATOR_MESSAGES.items():
         assert reader(type=name, channels=[3, 0])(message) == (stamp_ns, (0.75, 1.5)), name
-        assert ACTUATORS[name].stamped is (stamp_ns is not None)
+        assert types.ACTUATORS[name].stamped is (stamp_ns is not None)
 
 
 def test_rates_of_px4() -> None:
     message = M(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])  # has no time of the sample
-    read = RATES["px4_msgs/msg/VehicleAngularVelocity"]
-    assert read(message) == RatesReading(12_000, (1.0, 2.0, 3.0), None, "")
+    read = types.RATES["px4_msgs/msg/VehicleAngularVelocity"]
+    assert read(message) == types.RatesReading(12_000, (1.0, 2.0, 3.0), None, "")
     message = M(
         timestamp=PX4_US,
         gyro_rad=np.array([1.0, 2.0, 3.0]),
         accelerometer_timestamp_relative=0,
         accelerometer_m_s2=np.array([4.0, 5.0, 6.0]),
     )
-    read = RATES["px4_msgs/msg/SensorCombined"]
+    read = types.RATES["px4_msgs/msg/SensorCombined"]
     assert read(message) == (PX4_US * 1000, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), "")
     message.accelerometer_timestamp_relative = types.PX4_RELATIVE_TIMESTAMP_INVALID
     assert read(message).specific_force is None
 
 
 def test_imu() -> None:
-    read = RATES["sensor_msgs/msg/Imu"]
+    read = types.RATES["sensor_msgs/msg/Imu"]
     expected = (STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), "base_link")
     assert read(imu()) == expected
     assert read(imu(rates=False)).rates is None
@@ -153,7 +137,7 @@ def joints(name: list[str], position: list[float], **more: Any) -> SimpleNamespa
     return M(header=header(), name=name, position=position, **more)
 
 
-def by_name(*channels: str | int, **more: Any) -> ActuatorReader:
+def by_name(*channels: str | int, **more: Any) -> types.ActuatorReader:
     return reader(type="sensor_msgs/msg/JointState", channels=list(channels), **more)
 
 
@@ -163,11 +147,11 @@ def test_channels_by_name_follow_the_names_of_each_message() -> None:
     assert read(message)[1] == (2.0, 1.0)
     assert by_name("elevator", field="effort")(message)[1] == (3.0,)
     for _ in range(2):
-        with pytest.raises(ChannelError, match="no channel 'rudder': the message names none"):
+        with pytest.raises(types.ChannelError, match="no channel 'rudder': the message names none"):
             read(unnamed)
     message.name = ["rudder", "elevator"]
     assert read(message)[1] == (1.0, 2.0)
-    with pytest.raises(ChannelError, match="no channel 'rudder': the message names none"):
+    with pytest.raises(types.ChannelError, match="no channel 'rudder': the message names none"):
         read(unnamed)
     assert by_name(1, 0)(unnamed)[1] == (2.0, 1.0)
 
@@ -181,7 +165,7 @@ def test_channels_that_are_not_there_are_named() -> None:
         (reader(channels=[0, 4]), four, "'data' has 4 values, too few for channels 0, 4"),
         (by_name("b"), joints(["a", "b"], [1.0]), "'position' has 1 values"),
     ):
-        with pytest.raises(ChannelError, match=words) as error:
+        with pytest.raises(types.ChannelError, match=words) as error:
             read(message)
         assert len(str(error.value)) < 500
 
@@ -190,32 +174,32 @@ def test_only_channels_in_use_must_be_finite() -> None:
     for bad in (math.nan, math.inf, -math.inf):
         message = M(data=[1.0, bad, 2.0])
         assert reader(channels=[0, 2])(message)[1] == (1.0, 2.0)
-        with pytest.raises(ChannelError, match="not all finite") as caught:
+        with pytest.raises(types.ChannelError, match="not all finite") as caught:
             reader(channels=[0, 1])(message)
         assert caught.value.reason == "not finite"
 
 
 def test_wrong_field_and_names_without_names() -> None:
-    with pytest.raises(MessageTypeError, match="has position, velocity, normalized"):
+    with pytest.raises(types.MessageTypeError, match="has position, velocity, normalized"):
         reader(type="actuator_msgs/msg/Actuators", field="data")
-    with pytest.raises(MessageTypeError, match="names no channels"):
+    with pytest.raises(types.MessageTypeError, match="names no channels"):
         reader(type="mavros_msgs/msg/RCOut", channels=["elevator"])
 
 
 def test_frames_that_contradict_the_convention_and_those_that_agree() -> None:
     for frame_id in ("base_link_frd", "map_ned"):
-        assert frame_id in frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
-        assert not frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
-    assert not frame_fault("flu", "base_link", "sensor_msgs/msg/Imu")
-    assert not frame_fault("frd", "", "px4_msgs/msg/SensorCombined")
-    assert "'frd'" in frame_fault("flu", "", "px4_msgs/msg/SensorCombined")
+        assert frame_id in types.frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
+        assert not types.frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
+    assert not types.frame_fault("flu", "base_link", "sensor_msgs/msg/Imu")
+    assert not types.frame_fault("frd", "", "px4_msgs/msg/SensorCombined")
+    assert "'frd'" in types.frame_fault("flu", "", "px4_msgs/msg/SensorCombined")
 
 
 def test_cdr_reader_agrees_with_the_decoder() -> None:
     for length, little_endian in itertools.product(range(18), (True, False)):
         message = imu("x" * length)
         data = serialized(message, little_endian=little_endian)
-        expected = RATES["sensor_msgs/msg/Imu"](message)
+        expected = types.RATES["sensor_msgs/msg/Imu"](message)
         assert decode_imu_cdr(data) == decode_imu_cdr(memoryview(data)) == expected
         for cut in (0, 1, 4, 12, 16, 40, len(data) - 1):
             assert decode_imu_cdr(data[:cut]) is None
@@ -233,14 +217,14 @@ def test_cdr_reader_leaves_other_encodings_alone() -> None:
 
 def test_import_type() -> None:
     sensor_msgs = pytest.importorskip("sensor_msgs.msg")
-    assert import_type("sensor_msgs/msg/Imu") is sensor_msgs.Imu
+    assert types.import_type("sensor_msgs/msg/Imu") is sensor_msgs.Imu
     for name, words in (
         ("nothing_here/msg/Imu", "'nothing_here/msg/Imu' is not installed"),
         ("Imu", "package/msg/Type"),
         ("uav_ident_ros/messages/Nothing", "has no type"),
     ):
-        with pytest.raises(MessageTypeError, match=words):
-            import_type(name)
+        with pytest.raises(types.MessageTypeError, match=words):
+            types.import_type(name)
 
 
 def test_messages_import_no_ros() -> None:
@@ -252,44 +236,35 @@ def test_messages_import_no_ros() -> None:
     assert python("-c", code).returncode == 0
 
 
-def test_the_dense_matrix_and_its_layout_leave_out_the_kinematics() -> None:
-    common = "pq,qr,pr,pp,rr,p,q,r,de,dr,da,dth,1"
-    for name, labels, regressors in (
-        ("augmented", "pdot,qdot,rdot", f"{common},ay,az"),
-        ("flight_dynamics", "pdot,qdot,rdot,ay,az", f"{common},beta,alpha"),
-    ):
-        structure, count = STRUCTURES[name], 15 * len(labels.split(","))
-        rows, columns = coefficients_layout(structure)
-        assert (rows, columns) == ((labels, count // 15, count), (regressors, 15, 15))
-        values = np.arange(float(structure.mask.size)).reshape(structure.mask.shape)
-        dense = dense_coefficients(paused(values), structure)
-        np.testing.assert_array_equal(np.ravel(dense), np.arange(float(count)))
+NODE_NS = 1_700_000_000 * 10**9
+BOOT_NS = 300 * 10**9
 
 
-def paused(values: np.ndarray, flow: FlowState | None = None) -> Estimate:
-    return estimate_of(
-        values, values / 10.0, usable=False, usable_rows=(True, False, True), flow=flow,
-        fit=np.array([90.0, 80.0, -5.0]), adapting=False, state="paused",
-    )  # fmt: skip
+@pytest.mark.parametrize("flown", [0, 100])
+@pytest.mark.parametrize("imu_ns", [NODE_NS, BOOT_NS, NODE_NS + BOOT_NS])
+def test_of_several_messages_without_a_time_before_a_sample_the_last_counts(
+    imu_ns: int, flown: int
+) -> None:
+    """They count from their arrival, whichever clock the Imu runs on, and before it begins."""
+    identifier = OnlineIdentifier(Settings.from_values({"armed.type": "std_msgs/msg/Bool"}))
+    (stream,) = (stream for stream in STREAMS if stream.name == ARMED)
+    offs: list[float] = []
+    feed = Feed(stream, identifier, lambda data: M(data=data == b"yes"), on_offset=offs.append)
 
+    def fly(first: int, until: int) -> list[str]:
+        """Samples of 10 ms; why nothing was learned."""
+        reasons = []
+        for k in range(first + 1, until + 1):
+            rate, stamp_ns = 0.2 * math.sin(0.05 * k), imu_ns + 10_000_000 * k
+            identifier.add_actuators(stamp_ns, (rate, 0.0, 0.0, 0.5))
+            identifier.add_rates(stamp_ns, (rate, 0.0, 0.0))
+            feed.settle()
+            reasons += [estimate.reason for estimate in identifier.advance()]
+        return reasons
 
-def test_named_entries_with_flow_angles() -> None:
-    structure = STRUCTURES["flight_dynamics"]
-    flow = FlowState(
-        beta=0.1, alpha=0.2, beta_sigma=0.01, alpha_sigma=0.02, roll=0.3, pitch=-0.4, airspeed=18.0
-    )
-    values = np.arange(105.0).reshape(7, 15)
-    names, positions, efforts = named_entries(paused(values, flow), structure)
-    assert names == entry_names(structure)
-    entries = dict(zip(names, zip(positions, efforts, strict=True), strict=True))
-    assert (entries["fit/r"], entries["verdict/usable"]) == ((-5.0, 0.0), (0.0, 0.0))
-    rows = [entries[f"verdict/usable/{row}"] for row in ("pdot", "qdot", "rdot")]
-    assert rows == [(1.0, 0.0), (0.0, 0.0), (1.0, 0.0)]
-    assert entries["ay/beta"] == (3 * 15 + 13, 5.8)
-    assert entries["alphadot/1"] == (6 * 15 + 12, 10.2)
-    assert entries["state/beta"] == (0.1, 0.01)
-    assert entries["state/alpha"] == (0.2, 0.02)
-    assert entries["state/roll"] == (0.3, 0.0)
-    assert entries["state/pitch"] == (-0.4, 0.0)
-    assert entries["state/airspeed"] == (18.0, 0.0)
-    assert len(names) == 35 + 5 + 7
+    fly(0, flown)
+    for number, said in enumerate((b"no", b"yes", b"yes", b"no")):
+        feed.take(said, NODE_NS + 10_000_000 * flown + 1000 * number)
+    assert "not armed" in fly(flown, flown + 50)[-1]
+    assert not +identifier.intake.drops[ARMED]
+    assert len(offs) == (imu_ns != NODE_NS), "it is told once"

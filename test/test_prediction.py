@@ -12,19 +12,8 @@ import pytest
 from equations import AIRCRAFT, flight_equations, matrix
 from numpy.typing import NDArray
 
+from uav_ident_ros.identification import prediction
 from uav_ident_ros.identification.model import LARGEST_RATE
-from uav_ident_ros.identification.prediction import (
-    HORIZONS,
-    SELECTIONS,
-    Flown,
-    InputSignal,
-    PredictionFit,
-    Published,
-    fit,
-    predict_ahead,
-    score_windows,
-    window_errors,
-)
 from uav_ident_ros.identification.structure import STRUCTURES, Structure
 
 Array = NDArray[np.float64]
@@ -43,7 +32,7 @@ class Record:
 
     t_ns: NDArray[np.int64]
     rates: Array
-    inputs: InputSignal
+    inputs: prediction.InputSignal
     force: Array
     ticks_ns: NDArray[np.int64]
     coefficients: Array
@@ -52,12 +41,12 @@ class Record:
     flow: Array | None = None
 
     @property
-    def flown(self) -> Flown:
-        return Flown(self.t_ns, self.rates, self.inputs, self.force, self.lever_arm)
+    def flown(self) -> prediction.Flown:
+        return prediction.Flown(self.t_ns, self.rates, self.inputs, self.force, self.lever_arm)
 
     @property
-    def published(self) -> Published:
-        return Published(self.ticks_ns, self.coefficients, self.structure, self.flow)
+    def published(self) -> prediction.Published:
+        return prediction.Published(self.ticks_ns, self.coefficients, self.structure, self.flow)
 
     def at_ticks(self, which) -> Record:
         """What was published at some of the ticks alone."""
@@ -70,10 +59,10 @@ class Record:
         measured = (self.t_ns[which], self.rates[which], self.force[which])
         return replace(self, **dict(zip(("t_ns", "rates", "force"), measured, strict=True)))
 
-    def everything(self) -> PredictionFit:
+    def everything(self) -> prediction.PredictionFit:
         """The fit over all windows."""
-        errors = window_errors(self.flown, self.published)
-        return fit(errors, np.ones(len(errors.t_ns), dtype=bool))
+        errors = prediction.window_errors(self.flown, self.published)
+        return prediction.fit(errors, np.ones(len(errors.t_ns), dtype=bool))
 
 
 def force_of(t: Array) -> Array:
@@ -108,6 +97,14 @@ def integrated(
         k4 = derivative(t + h, state + h * k3)
         state = state + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
     return state
+
+
+def path(derivative: Callable[[float, Array], Array], corners: Array, state: Array) -> Array:
+    """The states at the corners of the signals, none of which lies within a step."""
+    states = [state]
+    for begin, end in pairwise(corners):
+        states.append(integrated(derivative, begin, end, states[-1]))
+    return np.array(states)
 
 
 def fly(
@@ -149,13 +146,8 @@ def fly(
 
     corners = np.unique(np.concatenate([t, tu + delay]))
     corners = corners[(corners >= tu[0] + delay) & (corners <= t[-1])]
-    state = np.concatenate([start, u[0]])
-    states = [state]
-    for begin, end in pairwise(corners):
-        # piecewise, so that no corner of the input lies within a step
-        state = integrated(derivative, begin, end, state)
-        states.append(state)
-    at_samples = np.array(states)[np.isin(corners, t)]
+    states = path(derivative, corners, np.concatenate([start, u[0]]))
+    at_samples = states[np.isin(corners, t)]
     x, flow, servo = at_samples[:, :3], at_samples[:, 3:width], at_samples[:, width:]
     actual = servo if time_constant else np.array([commanded(v) for v in t])
     regressors = structure.regressor(x, actual, flow[:, :2] if structure is FLIGHT else force_of(t))
@@ -167,7 +159,7 @@ def fly(
     first_tick = -(-int(t_ns[0]) // 50_000_000)
     ticks_ns = 50_000_000 * np.arange(first_tick, int(t_ns[-1]) // 50_000_000 + 1)
     known = slice(int((duration + 0.2) / 0.05))
-    signal = InputSignal(tu_ns[known], u[known], delay, time_constant)
+    signal = prediction.InputSignal(tu_ns[known], u[known], delay, time_constant)
     coefficients = np.broadcast_to(a, (len(ticks_ns), *a.shape))
     return Record(
         t_ns, x, signal, force, ticks_ns, coefficients, structure,
@@ -262,12 +254,9 @@ def predicted(
         state = np.concatenate([state, [beta, alpha, *attitude]])
     last = t[window][-1]
     corners = np.unique(np.concatenate([[t0, last], t, tu]))
-    at_samples = []
-    for begin, end in pairwise(corners[(corners >= t0) & (corners <= last)]):
-        state = integrated(derivative, begin, end, state)
-        if end in t:
-            at_samples.append(state[:3])
-    return np.array(at_samples), record.rates[window]
+    corners = corners[(corners >= t0) & (corners <= last)]
+    states = path(derivative, corners, state)
+    return states[1:][np.isin(corners[1:], t), :3], record.rates[window]
 
 
 def percent(model: list[Array], measured: list[Array]) -> Array:
@@ -285,7 +274,7 @@ def test_predictions_ahead_are_where_an_integration_ends(
     record = fly(structure, duration=3.0)
     factors = np.random.default_rng(3).uniform(0.5, 1.5, (len(record.ticks_ns), 1, 1))
     record = replace(record, coefficients=record.coefficients * factors)
-    t_ns, ahead = predict_ahead(record.flown, record.published, horizon)
+    t_ns, ahead = prediction.predict_ahead(record.flown, record.published, horizon)
     horizon_ns = round(horizon * 1e9)
     count = int((record.ticks_ns + horizon_ns <= record.t_ns[-1]).sum())
     np.testing.assert_array_equal(t_ns, record.ticks_ns[:count] + horizon_ns)
@@ -314,10 +303,10 @@ def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
     """Three seconds over the windows that have three, five over those that have five."""
     record = with_errors(fly(structure, duration=duration, jitter=0.3), every)
     result = record.everything()
-    ends = record.ticks_ns[:, None] + np.rint(1e9 * np.array(HORIZONS)).astype(int)
+    ends = record.ticks_ns[:, None] + np.rint(1e9 * np.array(prediction.HORIZONS)).astype(int)
     covered = (ends <= record.t_ns[-1]).sum(axis=0)
     assert covered[0] == result.windows
-    for i, horizon in enumerate(HORIZONS[: np.count_nonzero(covered)]):
+    for i, horizon in enumerate(prediction.HORIZONS[: np.count_nonzero(covered)]):
         runs = [predicted(record, k, free=True, horizon=horizon) for k in range(covered[i])]
         measured = [m for _, m in runs]
         expected, held = percent([p for p, _ in runs], measured), holding(record, measured)
@@ -343,12 +332,12 @@ def test_windows_of_the_record_and_their_counts() -> None:
     t_ns = START_NS + 10_000_000 * np.arange(6001)  # 60 s at 100 Hz
     rates = np.random.default_rng(0).normal(size=(6001, 3))
     ticks = START_NS + 50_000_000 * np.arange(1, 1201)
-    inputs = InputSignal(t_ns, np.zeros((6001, 4)))
+    inputs = prediction.InputSignal(t_ns, np.zeros((6001, 4)))
     coefficients = np.zeros((1200, 3, BASELINE.size))
-    flown = Flown(t_ns, rates, inputs, np.zeros((6001, 2)), np.zeros(3))
-    errors = window_errors(flown, Published(ticks, coefficients, BASELINE))
-    result = score_windows(errors, int(t_ns[0]), int(t_ns[-1]))
-    assert list(result) == list(SELECTIONS) == ["last_40_percent", "after_30_s"]
+    flown = prediction.Flown(t_ns, rates, inputs, np.zeros((6001, 2)), np.zeros(3))
+    errors = prediction.window_errors(flown, prediction.Published(ticks, coefficients, BASELINE))
+    result = prediction.score_windows(errors, int(t_ns[0]), int(t_ns[-1]))
+    assert list(result) == list(prediction.SELECTIONS) == ["last_40_percent", "after_30_s"]
     # starts from 36 s, and from 30 s, to 59 s, both included
     assert result["last_40_percent"].windows == 23 * 20 + 1
     assert result["after_30_s"].windows == 29 * 20 + 1
@@ -379,16 +368,16 @@ def test_no_window_spans_a_gap_or_needs_unknown_inputs() -> None:
     record = fly(duration=8.0)
     t = (record.t_ns - START_NS) * 1e-9
     cut = record.samples((t < 3.0) | (t > 3.5))
-    errors = window_errors(cut.flown, cut.published)
+    errors = prediction.window_errors(cut.flown, cut.published)
     starts = (errors.t_ns - START_NS) * 1e-9
     assert not ((starts > 1.995) & (starts < 3.505)).any()
     assert (errors.count[:, 0] >= 99).all()
     beyond = (errors.count == 0) == (
-        starts[:, None] + HORIZONS > np.where(starts < 3.0, 2.995, 7.985)[:, None]
+        starts[:, None] + prediction.HORIZONS > np.where(starts < 3.0, 2.995, 7.985)[:, None]
     )
     assert beyond.all()
     known = replace(record.inputs, t_ns=record.inputs.t_ns[50:90], u=record.inputs.u[50:90])
-    errors = window_errors(replace(record, inputs=known).flown, record.published)
+    errors = prediction.window_errors(replace(record, inputs=known).flown, record.published)
     assert errors.t_ns[0] == pytest.approx(known.t_ns[0])
     # held for the timeout after the last
     assert (errors.t_ns[-1] - known.t_ns[-1]) * 1e-9 == pytest.approx(0.5 - 1.0)
@@ -404,7 +393,7 @@ def test_wrong_arguments_are_named() -> None:
     ):
         wrong = replace(record, **change)
         with pytest.raises(ValueError, match=words):
-            window_errors(wrong.flown, wrong.published)
+            prediction.window_errors(wrong.flown, wrong.published)
     blind = replace(fly(FLIGHT, duration=2.0), flow=None)
     with pytest.raises(ValueError, match="needs the flow states"):
-        window_errors(blind.flown, blind.published)
+        prediction.window_errors(blind.flown, blind.published)

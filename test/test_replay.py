@@ -16,6 +16,7 @@ from excerpts import (
     BAGS,
     IMU,
     SECOND_NS,
+    START_NS,
     Entry,
     decoded,
     excerpt,
@@ -28,8 +29,8 @@ from excerpts import (
 from programs import Capture, python, refusal
 from rosbags.highlevel import AnyReader
 
+from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import TWIST, BagWriter, joint_state, plain, twist_stamped
 from uav_ident_ros.files.coefficients_file import load_coefficients, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -39,10 +40,12 @@ from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
 from uav_ident_ros.offline.inputs import choose_inputs
-from uav_ident_ros.offline.run import Refusals
+from uav_ident_ros.offline.tables import write_table
 from uav_ident_ros.offline.ticks import write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
+IMU_TYPE, NUMBER, FLAG = "sensor_msgs/msg/Imu", "std_msgs/msg/Float64", "std_msgs/msg/Bool"
+ARRAY, JOINTS, TWIST = writing.ARRAY, writing.JOINT_STATE, writing.TWIST
 
 
 @pytest.fixture(scope="module")
@@ -59,13 +62,11 @@ def replayed(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def fed_by_hand(
-    name: str, bag: Path | None = None, **changes: Any
-) -> tuple[OnlineIdentifier, list[Estimate]]:
+def fed_by_hand(bag: Path, values: dict[str, Any]) -> tuple[OnlineIdentifier, list[Estimate]]:
     """The core over a bag, by the tick rule, with another bag reader; its estimates."""
-    identifier = OnlineIdentifier(Settings.from_values(parameters(name, **changes)))
+    identifier = OnlineIdentifier(Settings.from_values(values))
     estimates = []
-    with AnyReader([bag or BAGS / name]) as reader:
+    with AnyReader([bag]) as reader:
         for connection, log_ns, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
             stamp_ns = log_ns
@@ -77,7 +78,7 @@ def fed_by_hand(
                 identifier.add_rates(stamp_ns, (w.x, w.y, w.z), (a.x, a.y, a.z))
             elif hasattr(message, "twist"):
                 v = message.twist.linear
-                identifier.add_airspeed(stamp_ns, float(np.hypot(v.x, v.z)))
+                identifier.add_airspeed(stamp_ns, math.hypot(v.x, v.y, v.z))
             elif isinstance(getattr(message, "data", None), float):
                 identifier.add_airspeed(stamp_ns, message.data)
             elif hasattr(message, "position"):
@@ -94,19 +95,45 @@ def published(output: Path) -> dict[str, list[tuple[int, Any]]]:
     return {topic.removeprefix("/identifier/"): entries for topic, entries in found.items()}
 
 
+AIRSPEED = "/airspeed"
+
+
+def with_airspeed(msgtype: str, topic: str = AIRSPEED, every: int = 10) -> Any:
+    """A change of an excerpt: an airspeed beside some of the rates; every 50th is NaN."""
+    count = itertools.count()
+
+    def change(name: str, log_ns: int, message: Any) -> list[Entry]:
+        entries = [(name, log_ns, message)]
+        k = next(count) if name == IMU else -1
+        if k < 0 or k % every:
+            return entries
+        speed = math.nan if k // every % 50 == 0 else 20.0 + 5.0 * math.sin(0.002 * k)
+        word = writing.plain(NUMBER, speed)
+        if msgtype == TWIST:  # stamped 12 ms before it is recorded; the airspeed is its length
+            word = writing.twist_stamped(log_ns - 12_000_000, (0.6 * speed, 0.0, -0.8 * speed))
+        return [*entries, (topic, log_ns, word)]
+
+    return change
+
+
 @pytest.mark.parametrize(
-    ("name", "rows"),
+    ("name", "rows", "airspeed"),
     [
-        ("multisine", "pdot,qdot,rdot"),
-        ("pulses", "pdot,qdot,rdot"),  # actuators without a stamp: they count from their log time
-        ("c172p", "pdot,qdot,rdot,ay,az"),
+        ("pulses", "pdot,qdot,rdot", ""),  # actuators without a stamp count from their log time
+        ("c172p", "pdot,qdot,rdot,ay,az", ""),
+        ("multisine", "pdot,qdot,rdot", NUMBER),
+        ("multisine", "pdot,qdot,rdot", TWIST),
     ],
 )
-def test_estimates_are_those_of_the_core_to_the_bit(name: str, rows: str, tmp_path: Path) -> None:
+def test_estimates_are_those_of_the_core_to_the_bit(
+    name: str, rows: str, airspeed: str, tmp_path: Path, capsys: Capture
+) -> None:
     """With the default structure angle of attack, sideslip and attitude, too, and two more rows."""
-    bag, output = excerpt(tmp_path / "bag", 6.0, name), tmp_path / "out"
-    replay(bag, output, by=name)
-    identifier, estimates = fed_by_hand(name, bag)
+    change = with_airspeed(airspeed) if airspeed else None
+    bag, output = excerpt(tmp_path / "bag", 6.0, name, change), tmp_path / "out"
+    values = parameters(name, airspeed__type=airspeed, airspeed__reference=20.0)
+    replay(bag, output, by=parameter_file(tmp_path / "p.yaml", **values))
+    identifier, estimates = fed_by_hand(bag, values)
     structure, found = identifier.structure, published(output)
     assert {topic: entries[0][1].__msgtype__ for topic, entries in found.items()} == {
         "coefficients": "std_msgs/msg/Float64MultiArray",
@@ -132,11 +159,13 @@ def test_estimates_are_those_of_the_core_to_the_bit(name: str, rows: str, tmp_pa
         values = dict(zip(named.name, named.position.tolist(), strict=True))
         verdicts = [v for entry, v in values.items() if entry.startswith("verdict/")]
         assert verdicts == [float(flag) for flag in (estimate.usable, *estimate.usable_rows)]
+        assert [values[f"fit/{axis}"] for axis in "pqr"] == estimate.fit.tolist()
+        efforts = dict(zip(named.name[count:], named.effort.tolist()[count:], strict=True))
         for state in ("alpha", "beta", "roll", "pitch", "airspeed") if estimate.flow else ():
             assert values[f"state/{state}"] == getattr(estimate.flow, state)
-            if state in ("alpha", "beta"):
-                sigma = named.effort[named.name.index(f"state/{state}")]
-                assert sigma == getattr(estimate.flow, f"{state}_sigma")
+            sigma = getattr(estimate.flow, f"{state}_sigma", 0.0)
+            assert efforts.pop(f"state/{state}") == sigma
+        assert set(efforts.values()) == {0.0}
         for topic in ("predicted_rates", "prediction_error"):
             vector = at[topic].vector
             assert [vector.x, vector.y, vector.z] == getattr(estimate, topic).tolist()
@@ -144,6 +173,18 @@ def test_estimates_are_those_of_the_core_to_the_bit(name: str, rows: str, tmp_pa
     assert labels == [rows, ",".join(structure.regressors)]
     assert at["predicted_rates"].header.frame_id == summary(output)["frame_id"]
     assert (estimate.flow is not None) == (name == "c172p")
+    saved = load_coefficients(output / "coefficients.yaml")
+    wanted = identifier.coefficient_set(estimates[-1].t_ns)
+    assert saved.values.tobytes() == wanted.values.tobytes()
+    assert saved.sigma.tobytes() == wanted.sigma.tobytes()
+    if airspeed:
+        assert np.abs(saved.values - estimates[-1].coefficients).max() > 1.0  # at another speed
+        assert summary(output)["inputs"]["airspeed"] == {
+            "topic": AIRSPEED, "type": airspeed, "received": 121, "dropped": {"not finite": 3}
+        }  # fmt: skip
+        printed = capsys.readouterr().out
+        assert f"airspeed: /airspeed ({airspeed}), 121 messages, 3 not finite" in printed
+        assert "coefficients at the reference airspeed, 20 m/s" in printed
 
 
 def test_mcap_reader_finds_schemas_stamps_and_qos(replayed: Path) -> None:
@@ -185,6 +226,24 @@ def test_summary_coefficients_and_picture(replayed: Path) -> None:
     assert picture.startswith(b"\x89PNG") and len(picture) > 20_000
 
 
+def test_the_time_usable_is_told_where_the_end_of_the_flight_is_not(replayed: Path) -> None:
+    """As with surfaces in turn: at the last tick there is always one that has not moved of late."""
+    content = summary(replayed)
+    rows = {"pdot": [], "qdot": [], "rdot": []}
+    for _, message in published(replayed)["coefficients_named"]:
+        values = dict(zip(message.name, message.position, strict=True))
+        for row, flags in rows.items():
+            flags.append(values[f"verdict/usable/{row}"])
+    assert content["usable_share"] == {row: np.mean(flags) for row, flags in rows.items()}
+    assert 0.0 < content["usable_share"]["pdot"] < 1.0
+    assert "in the course" not in write_table(content)
+    told = "usable in the course of the flight: pdot 44 %, qdot 0 %, rdot 3 % of the ticks"
+    shares = {"pdot": 0.44, "qdot": 0.0, "rdot": 0.03}
+    assert told in write_table(content | {"doubt": "still", "usable_share": shares})
+    never = content | {"doubt": "still", "usable_share": dict.fromkeys(rows, 0.0)}
+    assert "in the course" not in write_table(never)
+
+
 def test_table(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     short = excerpt(tmp_path / "short", 10.0, "pulses")
@@ -214,18 +273,56 @@ def test_a_delay_that_the_flight_does_not_show_is_no_estimate(
     assert summary(tmp_path / "out")["delay_confidence"] != "sure"
 
 
-def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
-    def renamed(topic: str, log_ns: int, message: Any) -> list[Entry]:
-        return [("/plane/servos" if topic == ACTUATORS else "/plane/imu", log_ns, message)]
+OWN = {IMU: IMU_TYPE, ACTUATORS: ARRAY}
+USUAL = {"rates": IMU, "actuators": ACTUATORS}
+ASKED = "/identifier/excitation"
+CHOICES: list[tuple[dict[str, str], dict[str, str], dict[str, str], dict[str, str]]] = [
+    # topics and types of a bag, parameters, topics asked for, topics read
+    ({"/plane/imu": IMU_TYPE, "/plane/servos": ARRAY}, {}, {},
+     {"rates": "/plane/imu", "actuators": "/plane/servos"}),
+    ({"/imu_a": IMU_TYPE, "/imu_b": IMU_TYPE, ACTUATORS: ARRAY}, {}, {"rates": "/imu_b"},
+     USUAL | {"rates": "/imu_b"}),
+    (OWN | {"/pitot": NUMBER}, {"airspeed.type": ""}, {}, USUAL),
+    (OWN | {"/pitot": NUMBER}, {"airspeed.type": NUMBER}, {}, USUAL | {"airspeed": "/pitot"}),
+    # the option alone is enough: the type is the topic's
+    (OWN | {"/pitot": NUMBER}, {"airspeed.type": ""}, {"airspeed": "/pitot"},
+     USUAL | {"airspeed": "/pitot"}),
+    (OWN | {"/pitot_a": NUMBER, "/silent": NUMBER}, {"airspeed.type": NUMBER}, {},
+     USUAL | {"airspeed": "/pitot_a"}),
+    (OWN | {"/armed": FLAG}, {}, {}, USUAL),
+    (OWN | {"/armed": FLAG}, {"armed.type": FLAG}, {}, USUAL | {"armed": "/armed"}),
+    (OWN | {ASKED: JOINTS}, {}, {}, USUAL | {"excitation": ASKED}),
+    (OWN | {ASKED: JOINTS, "/excitation": JOINTS}, {}, {}, USUAL | {"excitation": "/excitation"}),
+    (OWN | {"/a/excitation": JOINTS, "/b/excitation": JOINTS}, {}, {}, USUAL),
+]  # fmt: skip
 
+
+def bag_of(path: Path, topics: dict[str, str]) -> Path:
+    """A bag of these topics, each but a silent one with a message."""
+    with writing.BagWriter(path) as writer:
+        for topic, msgtype in topics.items():
+            writer.topic(topic, msgtype)
+            if topic != "/silent":
+                writer.write(topic, SECOND_NS, b"")
+    return path
+
+
+@pytest.mark.parametrize(("topics", "values", "asked", "read"), CHOICES)
+def test_topics_are_found_by_name_by_type_and_by_option(
+    tmp_path: Path, topics: Any, values: Any, asked: Any, read: Any
+) -> None:
+    with Bag(bag_of(tmp_path / "bag", topics)) as bag:
+        inputs = choose_inputs(bag, values, asked)
+        assert inputs.streams == read
+        assert inputs.settings.actuators.type == ARRAY
+        assert (inputs.settings.airspeed.type == NUMBER) == ("airspeed" in read)
+
+
+def test_topics_that_could_all_be_it_are_listed_and_types_must_agree(tmp_path: Path) -> None:
     def doubled(topic: str, log_ns: int, message: Any) -> list[Entry] | None:
         both = [("/imu_a", log_ns, message), ("/imu_b", log_ns, message)]
         return both if topic == IMU else None
 
-    with Bag(excerpt(tmp_path / "renamed", 1.0, "pulses", renamed)) as bag:
-        inputs = choose_inputs(bag, {})
-        assert inputs.streams == {"rates": "/plane/imu", "actuators": "/plane/servos"}
-        assert inputs.settings.actuators.type == "std_msgs/msg/Float64MultiArray"
     with Bag(excerpt(tmp_path / "doubled", 1.0, "pulses", doubled)) as bag:
         with pytest.raises(BagError) as caught:
             choose_inputs(bag, {})
@@ -235,7 +332,12 @@ def test_topics_are_found_by_type_and_by_option(tmp_path: Path) -> None:
             f"  {topic} (sensor_msgs/msg/Imu), 201 messages, 201 Hz"
             for topic in ("/imu_a", "/imu_b")
         ]
-        assert choose_inputs(bag, {}, {"rates": "/imu_b"}).streams["rates"] == "/imu_b"
+    words = "'/pitot' is of type std_msgs/msg/Float64, but 'airspeed.type' is 'geometry_msgs"
+    with (
+        Bag(bag_of(tmp_path / "bag", OWN | {"/pitot": NUMBER})) as bag,
+        pytest.raises(BagError, match=words),
+    ):
+        choose_inputs(bag, {"airspeed.type": TWIST}, {"airspeed": "/pitot"})
 
 
 @pytest.mark.parametrize("frame_id", ["imu_frd", "map_ned"])
@@ -253,8 +355,7 @@ def test_contradicting_frame_is_a_fault(frame_id: str, tmp_path: Path, capsys: C
 
 
 def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
-    with Bag(BAGS / "multisine") as bag:
-        half_ns = bag.start_ns + 14 * SECOND_NS
+    half_ns = START_NS + 14 * SECOND_NS
 
     def jumping(topic: str, log_ns: int, message: Any) -> list[Entry]:
         if log_ns > half_ns:
@@ -407,146 +508,14 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
     assert fit.windows == pytest.approx(20 * (0.4e-9 * (last_ns - first_ns) - 1.0), abs=2)
 
 
-@pytest.mark.parametrize("boot_s", [0, 1_600_000_000])
-def test_nothing_is_learned_while_disarmed(tmp_path: Path, boot_s: int) -> None:
-    """What carries no time is taken, also if the others' stamps count from a boot."""
-    armed = "std_msgs/msg/Bool"
-    shown_text: list[float] = []
-
-    def arming(topic: str, log_ns: int, message: Any) -> list[Entry]:
-        out = [(topic, log_ns, message)]
-        message.header.stamp.sec -= boot_s
-        if not shown_text or (len(shown_text) == 1 and log_ns > shown_text[0] + 5 * SECOND_NS):
-            out.append(("/armed", log_ns, plain(armed, bool(shown_text))))
-            shown_text.append(log_ns)
-        return out
-
-    bag = excerpt(tmp_path / "bag", 10.0, "multisine", arming)
-    with Bag(bag) as opened:
-        assert "armed" not in choose_inputs(opened, parameters()).streams
-    run = replayed_run(bag, parameters(armed__type=armed))
-    assert run.inputs.streams["armed"] == "/armed"
-    assert run.refusals("armed") == Refusals(2, {})
-    start_ns = run.estimates[0].t_ns
-    learned = [(e.t_ns - start_ns) / SECOND_NS for e in run.estimates if e.adapting]
-    assert 4.8 < min(learned) < 5.5
-
-
-# --- with an airspeed --------------------------------------------------------------------------
-
-AIRSPEED = "/airspeed"
-NUMBER = "std_msgs/msg/Float64"
-
-
-def with_airspeed(msgtype: str, topic: str = AIRSPEED, every: int = 10) -> Any:
-    """A change of an excerpt: an airspeed beside some of the rates; every 50th is NaN."""
-    count = itertools.count()
-
-    def change(name: str, log_ns: int, message: Any) -> list[Entry]:
-        entries = [(name, log_ns, message)]
-        k = next(count) if name == IMU else -1
-        if k < 0 or k % every:
-            return entries
-        speed = math.nan if k // every % 50 == 0 else 20.0 + 5.0 * math.sin(0.002 * k)
-        word = plain(NUMBER, speed)
-        if msgtype == TWIST:  # stamped 12 ms before it is recorded; the airspeed is its length
-            word = twist_stamped(log_ns - 12_000_000, (0.6 * speed, 0.0, -0.8 * speed))
-        return [*entries, (topic, log_ns, word)]
-
-    return change
-
-
-@pytest.mark.parametrize("msgtype", [NUMBER, TWIST])
-def test_airspeed_is_taken_as_by_the_core(msgtype: str, tmp_path: Path, capsys: Capture) -> None:
-    bag = excerpt(tmp_path / "bag", 10.0, "multisine", with_airspeed(msgtype))
-    changes = {"airspeed__type": msgtype, "airspeed__reference": 20.0}
-    identifier, estimates = fed_by_hand("multisine", bag, **changes)
-    path = parameter_file(tmp_path / "p.yaml", **parameters(**changes))
-    output = tmp_path / "out"
-    replay(bag, output, by=path)
-
-    dense = published(output)["coefficients"]
-    for (_, found), estimate in zip(dense, estimates, strict=True):
-        np.testing.assert_allclose(found.data, estimate.coefficients.ravel(), rtol=1e-9, atol=1e-12)
-    saved = load_coefficients(output / "coefficients.yaml")
-    wanted = identifier.coefficient_set(estimates[-1].t_ns)
-    np.testing.assert_allclose(saved.values, wanted.values, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(saved.sigma, wanted.sigma, rtol=1e-9, atol=1e-12)
-    assert np.abs(saved.values - estimates[-1].coefficients).max() > 1.0  # at another speed
-    assert summary(output)["inputs"]["airspeed"] == {
-        "topic": AIRSPEED, "type": msgtype, "received": 201, "dropped": {"not finite": 5}
-    }  # fmt: skip
-    printed = capsys.readouterr().out
-    assert f"airspeed: /airspeed ({msgtype}), 201 messages, 5 not finite" in printed
-    assert "coefficients at the reference airspeed, 20 m/s" in printed
-
-
-def test_airspeed_topic_is_found_by_type_and_by_option(tmp_path: Path) -> None:
-    change = with_airspeed(NUMBER, "/pitot")
-    with Bag(excerpt(tmp_path / "named", 0.5, "multisine", change)) as bag:
-        assert choose_inputs(bag, {}).topics == (IMU, ACTUATORS)
-        assert "airspeed" not in choose_inputs(bag, {"airspeed.type": ""}).streams
-        assert choose_inputs(bag, {"airspeed.type": NUMBER}).streams["airspeed"] == "/pitot"
-        # the option alone is enough: the type is the topic's
-        inputs = choose_inputs(bag, {"airspeed.type": ""}, {"airspeed": "/pitot"})
-        assert inputs.settings.airspeed.type == NUMBER
-        assert inputs.topics == (IMU, ACTUATORS, "/pitot")
-        words = "'/pitot' is of type std_msgs/msg/Float64, but 'airspeed.type' is 'geometry_msgs"
-        with pytest.raises(BagError, match=words):
-            choose_inputs(bag, {"airspeed.type": TWIST}, {"airspeed": "/pitot"})
-    with BagWriter(tmp_path / "two") as writer:
-        for topic, msgtype in (
-            (IMU, "sensor_msgs/msg/Imu"),
-            (ACTUATORS, "std_msgs/msg/Float64MultiArray"),
-            ("/pitot_a", NUMBER),
-            ("/pitot_b", NUMBER),
-        ):
-            writer.topic(topic, msgtype)
-        writer.write("/pitot_a", SECOND_NS, plain(NUMBER, 20.0))
-    with Bag(tmp_path / "two") as bag:  # one of them is silent
-        assert choose_inputs(bag, {"airspeed.type": NUMBER}).streams["airspeed"] == "/pitot_a"
-
-
-# --- with what was injected --------------------------------------------------------------------
-
-
-def injected(names: list[str], topics: tuple[str, ...], values: list[float]) -> Any:
-    """A change of an excerpt: beside each actuator message, what was injected."""
-
-    def change(topic: str, log_ns: int, message: Any) -> list[Entry]:
-        if topic == IMU:
-            return [(topic, log_ns, message)]
-        word = joint_state(header_ns(message), names, values)
-        return [(topic, log_ns, message), *((name, log_ns, word) for name in topics)]
-
-    return change
-
-
-@pytest.mark.parametrize(
-    ("topics", "chosen"),
-    [
-        (("/identifier/excitation",), "/identifier/excitation"),
-        (("/identifier/excitation", "/excitation"), "/excitation"),
-        (("/a/excitation", "/b/excitation"), ""),
-    ],
-)
-def test_the_topic_of_the_excitation_is_found_by_its_name(
-    tmp_path: Path, topics: tuple[str, ...], chosen: str
-) -> None:
-    bag = excerpt(tmp_path / "bag", 3.0, "multisine", injected(["da", "de"], topics, [0.1, 0.2]))
-    run = replayed_run(bag, {})
-    assert run.inputs.streams["actuators"] == ACTUATORS
-    assert run.inputs.streams.get("excitation", "") == chosen
-    received = {name: run.refusals(name).received for name in ("actuators", "excitation")}
-    assert received["excitation"] == (received["actuators"] if chosen else 0)
-    values = run.identifier.sampler.injected.v.tolist()
-    assert values == [[0.2, 0.0, 0.1, 0.0]] * len(values) and bool(values) == bool(chosen)
-
-
 def test_a_message_of_unknown_names_is_no_excitation(tmp_path: Path) -> None:
-    change = injected(["flap"], ("/excitation",), [0.1])
-    run = replayed_run(excerpt(tmp_path / "bag", 1.0, "multisine", change), {})
-    refusals = run.refusals("excitation")
+    def change(topic: str, log_ns: int, message: Any) -> list[Entry]:
+        word = writing.joint_state(header_ns(message), ["flap"], [0.1])
+        return [(topic, log_ns, message), ("/excitation", log_ns, word)]
+
+    refusals = replayed_run(excerpt(tmp_path / "bag", 0.5, change=change), {}).refusals(
+        "excitation"
+    )
     assert refusals.dropped == {"wrong channels": refusals.received} and refusals.received > 50
 
 

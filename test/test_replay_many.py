@@ -17,8 +17,7 @@ from typing import Any
 
 import pytest
 from excerpts import BAGS, PARAMETERS, excerpt, parameter_file, replay, summary
-from node_process import PATIENCE, wait_for
-from programs import Capture, Terminal, python, refusal
+from programs import PATIENCE, Capture, Terminal, python, refusal, wait_for
 from repository import ROOT
 
 from uav_ident_ros.bags.reading import BagError

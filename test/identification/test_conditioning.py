@@ -1,26 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """From messages to coefficients: what must not matter does not, and nothing is lost."""
 
-from collections import Counter
 from typing import Any
 
 import numpy as np
 import pytest
-from flying import (
-    Message,
-    errors,
-    identify,
-    linear_names,
-    messages,
-    plant_flight,
-    run,
-    settings,
-    worst,
-)
+from flying import errors, identified, linear_names, messages, plant_flight, run, settings, worst
 
-from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import ACTUATORS, RATES, Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.flight import Flight
@@ -38,54 +25,9 @@ S = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
-def short_flight() -> Flight:
-    return plant_flight(4.0)
-
-
-@pytest.fixture(scope="module")
 def calm_flight() -> Flight:
     """A flight without disturbances, sampled so that every Imu rate is the same flight."""
     return plant_flight(20.0, force=ColouredNoise(0.3, 0.5), rate=1000.0, max_step=1e-3)
-
-
-def same(a: list[Estimate], b: list[Estimate]) -> bool:
-    return len(a) == len(b) and all(
-        x.t_ns == y.t_ns
-        and np.array_equal(x.coefficients, y.coefficients)
-        and np.array_equal(x.sigma, y.sigma)
-        and np.array_equal(x.predicted_rates, y.predicted_rates)
-        and np.array_equal(x.prediction_error, y.prediction_error)
-        for x, y in zip(a, b, strict=True)
-    )
-
-
-# -- order and batching ------------------------------------------------------------------------
-
-
-def test_late_duplicate_and_bad_samples_are_counted_and_change_nothing(
-    short_flight: Flight,
-) -> None:
-    m = measure(short_flight, Sensors(gyro_noise=0.02))
-    own = settings(m)
-    plain = messages(m)
-    reference = run(OnlineIdentifier(own), plain)
-    dirty: list[Message] = []
-    given: Counter[str] = Counter()
-    for k, message in enumerate(plain):
-        dirty.append(message)
-        if k % 40 == 39 and k < len(plain) - 100:  # the last ticks are not due
-            given[message.stream] += 1
-            poisoned = tuple(v + 1.0 for v in message.values)
-            dirty.append(message._replace(values=poisoned))  # repeated stamp
-            dirty.append(message._replace(t_ns=message.t_ns - 200 * MS))  # late
-            dirty.append(message._replace(t_ns=message.t_ns + 5 * S))  # outlying
-            dirty.append(message._replace(t_ns=0))
-            dirty.append(message._replace(values=(float("nan"), *message.values[1:])))
-    identifier = OnlineIdentifier(own)
-    assert same(run(identifier, dirty), reference)
-    for stream, far in ((RATES, Drop.OUTLYING_STAMP), (ACTUATORS, Drop.CLOCK_MISMATCH)):
-        reasons = (Drop.DUPLICATE, Drop.LATE, far, Drop.ZERO_STAMP, Drop.NOT_FINITE)
-        assert identifier.intake.drops[stream] == dict.fromkeys(reasons, given[stream])
 
 
 # -- gaps --------------------------------------------------------------------------------------
@@ -181,5 +123,9 @@ def test_how_it_is_measured_does_not_matter(
     calm_flight: Flight, variant: dict[str, Any], limit: float
 ) -> None:
     """Noise-free, so that the pairing of rates and inputs is all that is tested."""
-    _, coefficients = identify(measure(calm_flight, Sensors(**variant)), estimator="least_squares")
-    assert worst(errors(coefficients, "augmented", calm_flight, linear_names(calm_flight))) < limit
+    m = measure(calm_flight, Sensors(**variant))
+    _, (*_, last) = identified(m, estimator="least_squares")
+    assert (
+        worst(errors(last.coefficients, "augmented", calm_flight, linear_names(calm_flight)))
+        < limit
+    )

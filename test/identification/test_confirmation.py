@@ -32,12 +32,19 @@ class Flown:
         self._u = np.zeros(4)
         self.restarted = True
 
-    def fly(self, seconds: float, effect: float = 1.0, moved: float = 1.0, row: int = ROLL) -> None:
+    def fly(
+        self,
+        seconds: float,
+        effect: float = 1.0,
+        moved: float = 1.0,
+        row: int = ROLL,
+        gust: float = 0.5,
+    ) -> None:
         """Fly with the main surface of a row worth `effect` of what is believed of it."""
         actual = BELIEVED.copy()
         actual[row] *= effect
         for _ in range(round(seconds / DT)):
-            self._gust = 0.9 * self._gust + 0.5 * self._rng.normal(size=3)
+            self._gust = 0.9 * self._gust + gust * self._rng.normal(size=3)
             self._u = 0.8 * self._u + 0.03 * moved * self._rng.normal(size=4)
             residual = self._gust + (actual - BELIEVED) @ self._u
             f = np.zeros((1, 15))
@@ -114,6 +121,16 @@ def test_what_does_not_move_fades_in_its_time() -> None:
     assert flight.doubts() == ["", "", ""]
 
 
+@pytest.mark.parametrize("seed", range(1, 6))
+def test_what_no_surface_explains_speaks_against_none(seed: int) -> None:
+    """A manoeuvre about another axis, which leaves far more than usual, as sideslip pitches."""
+    flight = Flown(seed)
+    flight.fly(60.0)
+    for _ in range(20):
+        flight.fly(0.5, moved=0.5, gust=15.0)
+        assert not any("contradicted" in doubt for doubt in flight.doubts())
+
+
 TURN, REST = 3.0, 15.0
 """Time of a test input on a surface, and of those on the others, s."""
 MOVED = 4.0
@@ -167,8 +184,6 @@ def test_a_turn_long_ago_says_nothing_of_the_next() -> None:
 
 
 def test_a_row_that_is_learned_anew_is_forgotten_alone() -> None:
-    flight = Flown()
-    """Its turns, too."""
     flight = in_turns()
     flight.confirmed.forget(PITCH)
     doubts = flight.doubts()

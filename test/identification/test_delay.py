@@ -10,21 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 from flying import AMPLITUDES as PLANT_AMPLITUDES
-from flying import Message, errors, flight_of, messages, plant_flight, run, settings, worst
-from light_aircraft import LightFlight
+from flying import (
+    Message,
+    errors,
+    identified,
+    light_measured,
+    messages,
+    plant_flight,
+    run,
+    settings,
+    worst,
+)
 
 from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.identification.delay import (
-    ALIKE,
-    FEWEST_BLOCKS,
-    LAGS,
-    STEP,
-    SURE_SIGMA,
-    SYSTEMATIC_ERROR,
-    DelayBank,
-    DelayEstimate,
-    judge,
-)
+from uav_ident_ros.identification import delay
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.residuals import ANSWER_TIMES
@@ -41,15 +40,13 @@ from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFligh
 
 NOISY = Sensors(gyro_noise=0.02, accelerometer_noise=0.1)
 REAL_FLIGHT = Path(__file__).resolve().parents[3] / "shared" / "bags" / "thor75_auto"
-DELAYS = STEP * np.arange(-2, 13)
+DELAYS = delay.STEP * np.arange(-2, 13)
 
 
 def found(flight: Flight, sensors: Sensors = NOISY, **changes: Any) -> OnlineIdentifier:
     m = measure(flight, sensors)
     values = {"actuators__delay": 0.0, "actuators__estimate_delay": True, **changes}
-    identifier = OnlineIdentifier(settings(m, estimator="least_squares", **values))
-    run(identifier, messages(m))
-    return identifier
+    return identified(m, estimator="least_squares", **values)[0]
 
 
 @cache
@@ -120,23 +117,14 @@ def test_the_papers_differences_cannot_show_a_delay() -> None:
 
 
 def flown_with(
-    delay: float,
-    told: float,
-    lag_told: float = 0.0,
-    seconds: float = 40.0,
-    lag: float = 0.0,
+    delay: float, told: float, lag_told: float = 0.0, lag: float = 0.0, seconds: float = 40.0,
     **changes: Any,
-) -> tuple[OnlineIdentifier, Estimate]:
+) -> tuple[OnlineIdentifier, Estimate]:  # fmt: skip
     """Return an identifier, told a delay and a lag, after a flight with those of the servos."""
-    peaks = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
-    segments = [Segment("multisine", 2.0, seconds, peaks, seed=1)]
-    flight = flight_of(
-        LightFlight(segments, seconds, gust=0.3, delay=delay, seed=1, time_constant=lag)
-    )
-    m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15))
-    own = settings(m, actuators__delay=told, actuators__time_constant=lag_told, **changes)
-    identifier = OnlineIdentifier(own)
-    return identifier, run(identifier, messages(m))[-1]
+    m = light_measured(seconds, delay=delay, time_constant=lag)
+    values = {"actuators__delay": told, "actuators__time_constant": lag_told, **changes}
+    identifier, (*_, last) = identified(m, **values)
+    return identifier, last
 
 
 def test_a_delay_that_is_a_little_off_makes_the_rows_less_sure() -> None:
@@ -209,9 +197,9 @@ def test_a_lag_that_a_delay_stands_for_makes_the_quick_axes_unsure() -> None:
 
 def test_no_lag_is_hidden_where_what_was_injected_has_told_it() -> None:
     """A lag of 0.1 s was in use, and none is there."""
-    before = DelayBank(0.3, 0.1)
-    before.estimate = DelayEstimate(-0.08, 0.01, 0.02, 0.01, 9.0, 0.0, 0.008, hidden=0.1)
-    now = DelayBank(0.3, 0.0, before).estimate
+    before = delay.DelayBank(0.3, 0.1)
+    before.estimate = delay.DelayEstimate(-0.08, 0.01, 0.02, 0.01, 9.0, 0.0, 0.008, hidden=0.1)
+    now = delay.DelayBank(0.3, 0.0, before).estimate
     assert (now.delay, now.sigma, now.hidden) == (0.02, 0.01, 0.008)
 
 
@@ -250,7 +238,7 @@ def test_how_the_signals_are_cut_and_delayed_before_changes_nothing() -> None:
     force = np.zeros((cells + 1, 3))
 
     def estimated(length: int, before: int) -> Any:
-        bank = DelayBank(0.3)
+        bank = delay.DelayBank(0.3)
         for k in range(0, cells, length):
             own, edges = slice(k, k + length), slice(k, k + length + 1)
             inputs = u[10 - before :][own]
@@ -276,7 +264,7 @@ def test_quiet_flight_is_left_out_unless_something_is_injected() -> None:
     force = np.zeros((cells + 1, 3))
 
     def judged(*, excited: bool, injected: float) -> int:
-        bank = DelayBank(0.3)
+        bank = delay.DelayBank(0.3)
         for k in range(0, cells, 50):
             own, edges = slice(k, k + 50), slice(k, k + 51)
             block = Block(t[edges], h, x[edges], u[own], force[edges], k == 0)
@@ -284,8 +272,8 @@ def test_quiet_flight_is_left_out_unless_something_is_injected() -> None:
             bank.add(block, 0.0, excited)
         return len(bank._errors)
 
-    assert judged(excited=True, injected=0.0) > FEWEST_BLOCKS
-    assert judged(excited=False, injected=0.1) > FEWEST_BLOCKS
+    assert judged(excited=True, injected=0.0) > delay.FEWEST_BLOCKS
+    assert judged(excited=False, injected=0.1) > delay.FEWEST_BLOCKS
     assert judged(excited=False, injected=0.0) == 0
 
 
@@ -295,10 +283,10 @@ def test_what_a_hidden_lag_takes_from_an_input_is_its_attenuation() -> None:
     u = np.zeros((cells, 4))
     u[:, 1] = np.sin(quickness * h * t[1:])
     motion = 0.01 * np.random.default_rng(1).normal(size=(cells + 1, 6))
-    bank = DelayBank(0.3)
+    bank = delay.DelayBank(0.3)
     bank.add(Block(t * 10_000_000, h, motion[:, :3], u, motion[:, 3:], True), 0.0)
-    for lag in LAGS:
-        bank.estimate = DelayEstimate(hidden=lag)
+    for lag in delay.LAGS:
+        bank.estimate = delay.DelayEstimate(hidden=lag)
         expected = 1.0 - 1.0 / math.hypot(1.0, lag * quickness)
         assert bank.lost() == pytest.approx([0.0, expected, 0.0, 0.0], abs=0.01)
 
@@ -322,26 +310,28 @@ def curve(best: float, lag_cost: float = 1.0, noise: float = 0.01) -> np.ndarray
     """Errors of blocks, (B, L, J, 3), least at `best`; longer lags predict worse."""
     rng = np.random.default_rng(2)
     bowl = np.exp(((DELAYS - best) / 0.1) ** 2)[:, None] * np.ones(3)
-    lags = np.exp(lag_cost * np.arange(len(LAGS)))[:, None, None]
-    blocks = np.exp(noise * rng.normal(size=(2 * FEWEST_BLOCKS, len(LAGS), len(DELAYS), 3)))
+    lags = np.exp(lag_cost * np.arange(len(delay.LAGS)))[:, None, None]
+    blocks = np.exp(
+        noise * rng.normal(size=(2 * delay.FEWEST_BLOCKS, len(delay.LAGS), len(DELAYS), 3))
+    )
     return np.asarray(blocks * lags * bowl)
 
 
 def test_the_minimum_of_the_curve_is_the_delay_unless_it_is_flat_or_at_an_end() -> None:
-    estimate = judge(curve(0.11), DELAYS)
+    estimate = delay.judge(curve(0.11), DELAYS)
     assert estimate.total_sure
-    assert estimate.delay == pytest.approx(0.11, abs=2.0 * SYSTEMATIC_ERROR)
-    assert estimate.total == pytest.approx(estimate.delay, abs=SYSTEMATIC_ERROR)
-    assert judge(curve(0.11), DELAYS, lag=0.05).total == pytest.approx(estimate.total + 0.05)
-    assert not judge(curve(0.11, noise=2.0), DELAYS).sure
+    assert estimate.delay == pytest.approx(0.11, abs=2.0 * delay.SYSTEMATIC_ERROR)
+    assert estimate.total == pytest.approx(estimate.delay, abs=delay.SYSTEMATIC_ERROR)
+    assert delay.judge(curve(0.11), DELAYS, lag=0.05).total == pytest.approx(estimate.total + 0.05)
+    assert not delay.judge(curve(0.11, noise=2.0), DELAYS).sure
     for beyond in (-0.1, 0.4):
-        assert not judge(curve(beyond), DELAYS).sure
+        assert not delay.judge(curve(beyond), DELAYS).sure
 
 
 def test_one_block_that_nothing_predicts_outweighs_no_other() -> None:
     blocks = np.concatenate([curve(0.11)] * 4)
     take_off = 1e3 * curve(0.02)[:1]  # larger than all others together, and least elsewhere
-    estimate = judge(np.concatenate((take_off, blocks)), DELAYS)
+    estimate = delay.judge(np.concatenate((take_off, blocks)), DELAYS)
     assert estimate.sure
     assert estimate.delay == pytest.approx(0.11, abs=estimate.sigma)
 
@@ -349,7 +339,7 @@ def test_one_block_that_nothing_predicts_outweighs_no_other() -> None:
 def test_answers_make_the_delay_as_unsure_as_the_motion_is_unexplained() -> None:
     errors = curve(0.11)
     share = np.sqrt((1.0 / errors.sum(axis=0)[0].max(axis=0)).mean() * errors[:, 0].shape[0])
-    plain, answered = (judge(errors, DELAYS, opposed=o).sigma for o in (False, True))
+    plain, answered = (delay.judge(errors, DELAYS, opposed=o).sigma for o in (False, True))
     assert math.sqrt(answered**2 - plain**2) == pytest.approx(ANSWER_TIMES[0] * share, rel=0.1)
 
 
@@ -359,10 +349,10 @@ def test_answers_make_the_delay_as_unsure_as_the_motion_is_unexplained() -> None
 def test_answers_that_come_after_the_motion_are_no_early_inputs(
     best: float, opposed: bool, told: bool
 ) -> None:
-    early = STEP * np.arange(-6, 13)
-    bowl = np.exp(((early - best) / 0.1) ** 2)[:, None] * np.ones((6, len(LAGS), 1, 3))
+    early = delay.STEP * np.arange(-6, 13)
+    bowl = np.exp(((early - best) / 0.1) ** 2)[:, None] * np.ones((6, len(delay.LAGS), 1, 3))
     noise = np.exp(0.01 * np.random.default_rng(1).normal(size=bowl.shape))
-    estimate = judge(bowl * noise, early, opposed=opposed)
+    estimate = delay.judge(bowl * noise, early, opposed=opposed)
     assert estimate.sure == told
     assert bool(estimate.off(0.2)) == told
 
@@ -372,17 +362,17 @@ def test_no_lag_is_possible_that_needs_inputs_before_they_are_given(
     total: float, told: bool
 ) -> None:
     """All lags predict alike, each with the delay that leaves the sum as it is."""
-    delays = STEP * np.arange(-8, 13)
-    best = total - np.array(LAGS)
+    delays = delay.STEP * np.arange(-8, 13)
+    best = total - np.array(delay.LAGS)
     bowl = np.exp(((delays - best[:, None]) / 0.1) ** 2)[None, :, :, None] * np.ones((6, 1, 1, 3))
     noise = np.exp(0.01 * np.random.default_rng(1).normal(size=bowl.shape))
-    estimate = judge(bowl * noise, delays)
-    assert estimate.total == pytest.approx(total, abs=SYSTEMATIC_ERROR)
-    assert (estimate.hidden < 0.5 * SURE_SIGMA) == told
+    estimate = delay.judge(bowl * noise, delays)
+    assert estimate.total == pytest.approx(total, abs=delay.SYSTEMATIC_ERROR)
+    assert (estimate.hidden < 0.5 * delay.SURE_SIGMA) == told
 
 
 def test_lags_that_predict_alike_leave_their_sum_with_the_delay_unknown() -> None:
-    given = judge(curve(0.11, lag_cost=0.3 * ALIKE), DELAYS)
+    given = delay.judge(curve(0.11, lag_cost=0.3 * delay.ALIKE), DELAYS)
     assert given.sure and not given.total_sure
     assert given.total_sigma > 0.04
 

@@ -1,45 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The estimators on plants of known truth."""
 
-from typing import Any
-
 import numpy as np
 import pytest
-from flying import (
-    AMPLITUDES,
-    DOMINANT,
-    errors,
-    identify,
-    linear_names,
-    messages,
-    plant_flight,
-    run,
-    settings,
-    worst,
-)
+from flying import AMPLITUDES, DOMINANT, errors, identified, linear_names, measured, worst
 
-from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.rigid_body import product_coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.flight import CoefficientChange
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
-from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import vehicle
 
 STRUCTURE = "throttle_coupled"
 BOTH = pytest.mark.parametrize("estimator", ["least_squares", "instrumental_variable"])
-
-
-def measured(duration: float, noise: float = 0.02, **changes: Any) -> Measurements:
-    return measure(plant_flight(duration, **changes), Sensors(gyro_noise=noise), seed=1)
-
-
-def started(
-    measurements: Measurements, initial: CoefficientSet | None = None, **changes: Any
-) -> OnlineIdentifier:
-    own = settings(measurements, **{"structure": STRUCTURE, **changes})
-    return OnlineIdentifier(own, initial)
 
 
 def excitation(times: float) -> tuple[Segment, ...]:
@@ -51,7 +24,7 @@ def test_the_papers_law_converges_to_the_truth() -> None:
     # Persistent excitation wild enough to move the rate products too, no noise.
     m = measured(60.0, noise=0.0, segments=excitation(3.0))
     own = {"estimator": "gradient", "gradient__gains": (6.0,) * 12}
-    _, found = identify(m, structure=STRUCTURE, **own)
+    found = identified(m, structure=STRUCTURE, **own)[1][-1].coefficients
     assert worst(errors(found, STRUCTURE, m.flight, STRUCTURES[STRUCTURE].names)) < 0.02
 
 
@@ -60,8 +33,7 @@ def test_the_papers_law_converges_to_the_truth() -> None:
 def test_the_estimate_is_the_truth(estimator: str, noise: float) -> None:
     """All that is linear without noise; with it, the dominant ones within five percent."""
     m = measured(30.0, noise)
-    identifier = started(m, estimator=estimator)
-    last = run(identifier, messages(m))[-1]
+    identifier, (*_, last) = identified(m, structure=STRUCTURE, estimator=estimator)
     names, limit = (DOMINANT, 0.05) if noise else (linear_names(m.flight), 0.005)
     assert worst(errors(last.coefficients, STRUCTURE, m.flight, names)) < limit
     if not noise:  # no residual shows what one number for all speeds and angles is off by
@@ -74,7 +46,8 @@ def test_gusts_bias_least_squares_but_not_the_instruments() -> None:
     m = measured(40.0, 0.03, gusts=ColouredNoise(1.0, 0.3))
 
     def error(estimator: str) -> float:
-        _, found = identify(m, structure=STRUCTURE, estimator=estimator)
+        _, estimates = identified(m, structure=STRUCTURE, estimator=estimator)
+        found = estimates[-1].coefficients
         return worst(errors(found, STRUCTURE, m.flight, ("pdot/p", "pdot/da", "qdot/de")))
 
     by_instruments = error("instrumental_variable")
@@ -89,8 +62,7 @@ def test_sigma_covers_the_error(estimator: str) -> None:
     for seed in range(3):
         m = measured(20.0, 0.03, gusts=ColouredNoise(0.3, 0.3), seed=seed)
         assert m.flight.coefficients is not None
-        identifier = started(m, estimator=estimator)
-        last = run(identifier, messages(m))[-1]
+        identifier, (*_, last) = identified(m, structure=STRUCTURE, estimator=estimator)
         free = identifier.structure.mask
         ratios.append(np.abs(last.coefficients - m.flight.coefficients)[free] / last.sigma[free])
     pooled = np.concatenate(ratios)
@@ -101,8 +73,7 @@ def test_sigma_covers_the_error(estimator: str) -> None:
 def test_a_halved_control_derivative_is_followed_alone() -> None:
     name, gusts = "pdot/da", ColouredNoise(0.3, 0.3)
     m = measured(36.0, changes=(CoefficientChange(25.0, {name: 0.5}),), gusts=gusts)
-    identifier = started(m)
-    estimates = run(identifier, messages(m))
+    identifier, estimates = identified(m, structure=STRUCTURE)
     t = np.array([e.t_ns - m.imu_t_ns[0] for e in estimates]) * 1e-9
     before, after = estimates[np.searchsorted(t, 25.0)], estimates[np.searchsorted(t, 35.0)]
     place = identifier.structure.index(name)
@@ -117,9 +88,8 @@ def test_known_inertias_fix_the_rate_products_and_what_is_fixed_has_no_sigma() -
     body, names = vehicle("small_uav").inertia, ("pdot/dth", "rdot/dth")
     assert body is not None
     m = measured(8.0)
-    inertia = (body.ix, body.iy, body.iz, body.ixz)
-    identifier = started(m, model__inertia=inertia, fixed_coefficients=names)
-    last = run(identifier, messages(m))[-1]
+    known = {"model__inertia": (body.ix, body.iy, body.iz, body.ixz), "fixed_coefficients": names}
+    identifier, (*_, last) = identified(m, structure=STRUCTURE, **known)
     np.testing.assert_array_equal(last.coefficients[:, :5], product_coefficients(body))
     for name in names:
         place = identifier.structure.index(name)
@@ -127,6 +97,7 @@ def test_known_inertias_fix_the_rate_products_and_what_is_fixed_has_no_sigma() -
 
 
 PAPER = {
+    "structure": STRUCTURE,
     "estimator": "gradient",
     "filter__method": "backward_difference",
     "gradient__normalisation": "none",
@@ -138,7 +109,7 @@ PAPER = {
 @pytest.mark.parametrize("step", ["euler", "guarded"])
 def test_eulers_step_that_diverges_is_a_fault_and_stays_finite(step: str) -> None:
     m = measured(12.0, segments=excitation(6.0))
-    estimates = run(started(m, **PAPER, gradient__step=step), messages(m))
+    _, estimates = identified(m, **PAPER, gradient__step=step)
     assert all(np.isfinite(e.coefficients).all() for e in estimates)
     assert (estimates[-1].state == "fault") == (step == "euler")
     assert ("gradient.gains" in estimates[-1].reason) == (step == "euler")
@@ -155,7 +126,7 @@ def test_inputs_that_move_together_are_named() -> None:
 
     together = (Tied("multisine", amplitudes=AMPLITUDES, seed=1),)
     tied, free = (
-        identify(m, structure=STRUCTURE)[0].estimator.information
+        identified(m, structure=STRUCTURE)[0].estimator.information
         for m in (measured(15.0, segments=together), measured(15.0))
     )
     assert {("pdot/dr", "pdot/da"), ("rdot/dr", "rdot/da")} <= set(tied.collinear())
@@ -174,8 +145,7 @@ def test_what_rests_is_kept_or_grows_unsure_with_its_row(
         Segment("multisine", start=20.0, amplitudes=still, seed=2),
     )
     m = measured(45.0, segments=segments, gusts=ColouredNoise(0.3, 0.3))
-    identifier = started(m, forgetting_time=forgetting_time)
-    estimates = run(identifier, messages(m))
+    identifier, estimates = identified(m, structure=STRUCTURE, forgetting_time=forgetting_time)
     at_rest, last = estimates[23 * 20], estimates[-1]
     for name in ("pdot/dr", "rdot/dr", "pdot/dth"):
         place = identifier.structure.index(name)

@@ -2,6 +2,7 @@
 """A run of excitation: its signals, its limits, its end."""
 
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -73,6 +74,7 @@ def test_multisines_are_orthogonal_low_in_peak_and_as_large_as_asked_for() -> No
     frequency = np.fft.rfftfreq(len(t), 0.01)
     outside = (frequency < 0.1 - 1e-6) | (frequency > 2.0 + 1e-6)
     assert power[outside].max() < 1e-12 * power.max()
+    assert (power[~outside].max(axis=1) > 1e-4 * power.max()).all()  # no harmonic is left out
 
 
 def test_multisines_fade_in_and_out() -> None:
@@ -94,6 +96,11 @@ def test_pulses_move_one_input_at_a_time_and_all_of_them(form: str) -> None:
     np.testing.assert_allclose(u.min(axis=0), [-0.02, -0.03, 0.0, -0.1])
     turns = design.duration / design.period
     assert turns == 1.0 if form == "probe" else turns > 1.0 and turns == round(turns)
+    runs = [(sign, len(list(run))) for sign, run in groupby(np.sign(u[:, 0]))]
+    pulses = runs[: 4 if form == "3211" else 2]
+    assert [sign for sign, _ in pulses] == [1.0, -1.0, 1.0, -1.0][: len(pulses)]
+    lengths = np.array([length for _, length in pulses]) / pulses[-1][1]
+    np.testing.assert_allclose(lengths, [3, 2, 1, 1] if form == "3211" else [1, 1], rtol=0.05)
 
 
 def test_a_doublets_spectrum_is_highest_in_mid_band() -> None:

@@ -5,16 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying import messages, run, settings
+from flying import identified
 from light_aircraft import TRUTH, LightFlight
 
 from uav_ident_ros.identification.estimators.information import Information
-from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prior import first_values, start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import FORCE_ROWS, STRUCTURES
+from uav_ident_ros.identification.structure import FORCE_ROWS, INPUT_COLUMNS, STRUCTURES
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 
@@ -43,13 +42,13 @@ def fly(
     return Regression.of(y, f, f, DT), gusts
 
 
-def look(samples: Regression, residual: np.ndarray) -> Feedback:
-    """What is found with a sample at a time."""
-    looked = Feedback(LAYOUT)
+def look(samples: Regression, residual: np.ndarray, effect: float = 0.0) -> Feedback:
+    """What is found with a sample at a time, where the aileron is known to have some effect."""
+    looked, known = Feedback(LAYOUT), np.array([effect, 0.0, 0.0])
     for k in range(len(samples.y)):
         part = slice(k, k + 1)
         one = replace(samples, signals=samples.signals[part])
-        looked.add(one, residual[part, :3], np.ones(3))
+        looked.add(one, residual[part, :3], np.ones(3), known)
     return looked
 
 
@@ -85,6 +84,41 @@ def test_excitation_beside_feedback_separates_the_coefficients() -> None:
     samples, gusts = fly(0.02, 0.01)
     exciting = 0.01**2 * 8 / 2
     assert shares(samples, gusts)[2] == pytest.approx(0.02**2 / (0.02**2 + exciting), abs=0.15)
+
+
+def in_turns(seed: int, column: int) -> tuple[Regression, np.ndarray]:
+    """Return samples of 20 s of steps of one input, in gusts as slow that nothing answers."""
+    rng = np.random.default_rng(seed)
+    n, keep = round(20.0 / DT), np.exp(-DT / 1.5)
+    f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
+    f[:, column] = 0.1 * np.resize(np.repeat([1.0, -1.0, 1.0, -1.0], [60, 40, 20, 20]), n)
+    f[140:200, column] = f[350:, column] = 0.0
+    for k in range(1, n):
+        gusts[k, :3] = keep * gusts[k - 1, :3] + np.sqrt(1 - keep**2) * rng.normal(size=3)
+    return Regression.of(np.zeros((n, LAYOUT.rows)), f, f, DT), gusts
+
+
+SLOW_FLIGHTS = range(1, 9)
+
+
+def test_steps_that_outdo_slow_gusts_are_no_answers_to_them() -> None:
+    """By chance past residuals explain much of few steps; a weak input may well answer."""
+    flights = [in_turns(seed, AILERON) for seed in SLOW_FLIGHTS]
+    assert any(look(*flight, effect=10.0).share[2] for flight in flights)
+    assert not any(look(*flight, effect=40.0).share[2] for flight in flights)
+
+
+def test_the_throttle_answers_only_what_foretells_it() -> None:
+    """No rate loop moves it, and no row tells how strong it is."""
+    throttle = INPUT_COLUMNS.stop - 1
+    assert not any(look(*in_turns(seed, throttle)).share[3] for seed in SLOW_FLIGHTS)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_strong_input_that_answers_beside_its_excitation_is_found(seed: int) -> None:
+    samples, gusts = fly(0.02, 0.01, seed=seed)
+    strong, weak = (look(samples, gusts, effect).share[2] for effect in (200.0, 0.0))
+    assert strong == weak > 0.2
 
 
 def answers(*by: float) -> np.ndarray:
@@ -181,7 +215,7 @@ def test_an_autopilot_in_gusts_leaves_little_known_wrongly(seed: int) -> None:
     air = {"bank": 30.0, "gust": 1.0, "roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
     flight = LightFlight((), 45.0, seed=seed, **air).fly()
     m = measure(flight, Sensors(gyro_noise=0.02, accelerometer_noise=0.1), seed)
-    estimates = run(OnlineIdentifier(settings(m)), messages(m))[400:]
+    estimates = identified(m)[1][400:]
     error = np.array([e.coefficients[PDOT_DA] for e in estimates]) - TRUTH["pdot/da"]
     sigma = np.array([e.sigma[PDOT_DA] for e in estimates])
     assert np.mean(np.abs(error) < 2.0 * sigma) > 0.6
@@ -192,7 +226,7 @@ def test_an_excitation_after_an_autopilot_is_learned_from() -> None:
     segment = Segment("multisine", 30.0, 25.0, {"de": 0.06, "da": 0.06, "dr": 0.06}, seed=1)
     flight = LightFlight((segment,), 55.0, seed=1, bank=20.0, gust=0.3).fly()
     m = measure(flight, Sensors(gyro_noise=0.02, accelerometer_noise=0.1), 1)
-    last = run(OnlineIdentifier(settings(m)), messages(m))[-1]
+    _, (*_, last) = identified(m)
     place = STRUCTURE.index("qdot/de")
     assert last.coefficients[place] == pytest.approx(TRUTH["qdot/de"], rel=0.1)
     assert last.sigma[place] < 0.25 * abs(TRUTH["qdot/de"])

@@ -6,10 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from equations import AIRCRAFT, flight_equations, matrix
-from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
+from equations import AIRCRAFT, flown, matrix
+from flying import Message, identified, light_measured, messages, plant_flight
 from light_aircraft import TRUTH, LightFlight
-from scipy.integrate import solve_ivp
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowObserver, FlowState
@@ -164,10 +163,7 @@ def slipping(h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         p, q, r, beta, alpha = states[-1][:5]
         f = np.array([p * q, q * r, p * r, p * p, r * r, p, q, r, *held, 1.0, beta, alpha])
         forces.append([0.0, *(a[3:5] @ f)])
-        solved = solve_ivp(
-            lambda _, s, held=held: flight_equations(a, s, held, SPEED), (0.0, h), states[-1]
-        )
-        states.append(solved.y[:, -1])
+        states.append(flown(a, states[-1], held, SPEED, h))
     return np.array(states[:-1]), np.array(forces), u
 
 
@@ -248,12 +244,11 @@ def without_accelerometer(stream: list[Message]) -> list[Message]:
 def test_without_an_accelerometer_the_moments_are_those_without_flow(estimator: str) -> None:
     m = measure(plant_flight(10.0, gusts=ColouredNoise(0.3, 0.3)), Sensors(gyro_noise=0.02), seed=1)
     stream = without_accelerometer(messages(m))
-    flying = OnlineIdentifier(settings(m, structure="flight_dynamics", estimator=estimator))
-    fixed = ("pdot/ay", "qdot/az", "rdot/ay")
-    plain = OnlineIdentifier(
-        settings(m, structure="augmented", estimator=estimator, fixed_coefficients=fixed)
+    fixed = {"fixed_coefficients": ("pdot/ay", "qdot/az", "rdot/ay")}
+    last, expected = (
+        identified(m, stream=stream, estimator=estimator, structure=structure, **own)[1][-1]
+        for structure, own in (("flight_dynamics", {}), ("augmented", fixed))
     )
-    last, expected = run(flying, stream)[-1], run(plain, stream)[-1]
     np.testing.assert_allclose(last.coefficients[:3], expected.coefficients, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(last.sigma[:3], expected.sigma, rtol=1e-4, atol=1e-9)
     np.testing.assert_allclose(last.predicted_rates, expected.predicted_rates, atol=1e-6)
@@ -278,16 +273,14 @@ def test_a_warm_start_is_published_whole_before_the_first_sample_is_used() -> No
 
 
 def test_an_accelerometer_that_comes_late_is_learned_from() -> None:
-    flight = LightFlight((Segment("multisine", amplitudes=AMPLITUDES, seed=1),), 60.0).fly()
-    m = measure(flight, Sensors(gyro_noise=0.005, accelerometer_noise=0.05), seed=1)
+    m = light_measured(60.0, gust=0.0)
     stream = messages(m)
     late = int(m.imu_t_ns[0]) + 15 * 10**9
     mixed = [
         changed if message.t_ns < late else message
         for message, changed in zip(stream, without_accelerometer(stream), strict=True)
     ]
-    identifier = OnlineIdentifier(settings(m))
-    estimates = run(identifier, mixed)
+    _, estimates = identified(m, stream=mixed)
     before = next(e for e in estimates if e.t_ns > late - 10**9)
     assert not before.coefficients[MOMENTS].any()
     for name in ("az/alpha", "qdot/alpha"):
@@ -304,7 +297,7 @@ def test_a_surface_that_fails_loses_its_force_with_its_moment(seed: int) -> None
         changes=(CoefficientChange(40.0, {"dr": -1.0}),),
     )  # fmt: skip
     m = measure(spec.fly(), Sensors(gyro_noise=0.01, accelerometer_noise=0.3), seed)
-    last = run(OnlineIdentifier(settings(m)), messages(m))[-1]
+    last = identified(m)[1][-1]
     for name in ("rdot/dr", "ay/dr"):
         found = last.coefficients[FLIGHT.index(name)]
         assert found == pytest.approx(-TRUTH[name], rel=0.2), name

@@ -36,13 +36,17 @@ def rolled(
 
 
 def shares(
-    samples: RowSamples, looked: ModelError, ratio: np.ndarray = OPEN_LOOP, settled: bool = True
+    samples: RowSamples,
+    looked: ModelError,
+    ratio: np.ndarray = OPEN_LOOP,
+    settled: bool = True,
+    effect: np.ndarray = KNOWN,
 ) -> np.ndarray:
     """What is found after each two samples, (m / 2, 3)."""
     found = []
     for k in range(0, samples.count, 2):
         part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
-        looked.add(part, EVERYWHERE, ratio, 0.0, KNOWN, restarted=k == 0, settled=settled)
+        looked.add(part, EVERYWHERE, ratio, 0.0, effect, restarted=k == 0, settled=settled)
         found.append(looked.share)
     return np.array(found)
 
@@ -50,6 +54,12 @@ def shares(
 def share(samples: RowSamples, ratio: np.ndarray = OPEN_LOOP) -> np.ndarray:
     """What is found at the end."""
     return np.asarray(shares(samples, ModelError(LAYOUT), ratio)[-1])
+
+
+def test_no_more_is_missing_than_all_of_an_effect() -> None:
+    """Of one that is not known yet, and that a prior holds near zero, it would be many times."""
+    found = shares(rolled(0.015), ModelError(LAYOUT), effect=1e-30 * KNOWN)[-1]
+    assert found.tolist() == [1.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("travel", [0.015, 0.03, 0.05])

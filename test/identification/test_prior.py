@@ -7,18 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from uav_ident_ros.identification import prior
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.prior import (
-    Start,
-    first_values,
-    physical_bounds,
-    resumed,
-    slope_bounds,
-    start_from,
-    weak_sigma,
-)
 from uav_ident_ros.identification.regression import RowSamples, layout
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -34,7 +26,7 @@ DAMPING = ("pdot/p", "qdot/q", "rdot/r")
 
 def sigma(name: str, structure: str = "flight_dynamics") -> float:
     own = STRUCTURES[structure]
-    return float(weak_sigma(own)[own.index(name)])
+    return float(prior.weak_sigma(own)[own.index(name)])
 
 
 @pytest.mark.parametrize("name", LIVELIEST)
@@ -49,12 +41,12 @@ def test_a_moment_goes_with_a_force_as_far_as_lift_is_weight() -> None:
 
 def test_lift_is_weight_and_side_force_a_sixth_of_it() -> None:
     """With a lift slope of 5 and a lift coefficient of 0.5."""
-    slopes = first_values(FLIGHT)
+    slopes = prior.first_values(FLIGHT)
     lift = slopes[FLIGHT.index("az/alpha")]
     assert lift == pytest.approx(-GRAVITY * 5.0 / 0.5, rel=0.2)
     assert slopes[FLIGHT.index("ay/beta")] == pytest.approx(lift / 6.0, rel=0.2)
     assert sigma("az/alpha") == -lift
-    bounds = slope_bounds(FLIGHT)
+    bounds = prior.slope_bounds(FLIGHT)
     assert bounds[FLIGHT.index("az/alpha")] == pytest.approx(0.1 * lift)
 
 
@@ -77,10 +69,10 @@ def test_kinematics_miss_a_bias_of_the_accelerometer_and_the_wings_angle() -> No
 
 
 def test_what_another_flight_knew_well_is_known_to_a_fifth() -> None:
-    values = first_values(FLIGHT)
+    values = prior.first_values(FLIGHT)
     saved = CoefficientSet(FLIGHT.name, values, np.where(FLIGHT.mask, 1e-9, 0.0))
     known = values != 0.0
-    assert resumed(saved).sigma[known] == pytest.approx(0.2 * np.abs(values[known]), rel=1e-6)
+    assert prior.resumed(saved).sigma[known] == pytest.approx(0.2 * np.abs(values[known]), rel=1e-6)
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
@@ -90,13 +82,13 @@ def test_a_rate_damps_itself_unless_a_measured_force_has_a_share_of_it(structure
     for free in (own.mask, own.mask & ~own.mask):
         shared = structure == "augmented" and free.any()
         expected = np.inf if shared else 0.0
-        np.testing.assert_array_equal(physical_bounds(own, free)[damping], expected)
+        np.testing.assert_array_equal(prior.physical_bounds(own, free)[damping], expected)
 
 
-def added(structure: str, name: str, value: float, **more: Any) -> tuple[Information, Start]:
+def added(structure: str, name: str, value: float, **more: Any) -> tuple[Information, prior.Start]:
     """Information of samples, regressors as instruments, by coefficients of which one is given."""
     own = STRUCTURES[structure]
-    problem, start = layout(own), start_from(Settings(structure=structure))
+    problem, start = layout(own), prior.start_from(Settings(structure=structure))
     start = replace(start, free=start.free & more.pop("free", own.mask))
     rng = np.random.default_rng(1)
     regressors = rng.normal(size=(problem.rows, 400, problem.width))
@@ -134,6 +126,6 @@ def test_the_start_of_the_instruments_has_no_bound_but_of_what_is_divided_by(
     information, start = added("flight_dynamics", name, 3.0, instrumental=(True,))
     assert information.warming_up
     solution, at = information.solve(start.values), FLIGHT.index(name)
-    largest = physical_bounds(FLIGHT, start.free)[at]
+    largest = prior.physical_bounds(FLIGHT, start.free)[at]
     assert solution.values[0][at] == (pytest.approx(largest) if held else pytest.approx(3.0, abs=1))
     assert solution.unbounded[0][at] > largest

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -167,59 +168,44 @@ class Fly:
         )
 
 
-@dataclass(frozen=True)
-class Give:
-    """One sample with any stamp and any values, of any number."""
-
-    stream: str
-    t_ns: int
-    values: tuple[float, ...]
-    times: int
-
-    def __call__(self, world: World) -> None:
-        for k in range(self.times):  # five that agree are a new time base
-            give(world.identifier, self.stream, self.t_ns + k * MS, self.values)
-        world.update()
+def give_any(world: World, stream: str, t_ns: int, values: tuple[float, ...], times: int) -> None:
+    """A sample with any stamp and any values, of any number; five that agree are a time base."""
+    for k in range(times):
+        give(world.identifier, stream, t_ns + k * MS, values)
+    world.update()
 
 
-@dataclass(frozen=True)
-class Jump:
+def jump(world: World, ns: int) -> None:
     """The clock jumps, either way."""
-
-    ns: int
-
-    def __call__(self, world: World) -> None:
-        world.now_ns = max(1, world.now_ns + self.ns)
+    world.now_ns = max(1, world.now_ns + ns)
 
 
-@dataclass(frozen=True)
-class Set:
+def set_clock(world: World, t_ns: int) -> None:
     """The clock shows any time at all."""
-
-    t_ns: int
-
-    def __call__(self, world: World) -> None:
-        world.now_ns = self.t_ns
+    world.now_ns = t_ns
 
 
-@dataclass(frozen=True)
-class Command:
-    """What a service, a parameter or a jump of /clock does to the identifier."""
+COMMANDS: dict[str, Event] = {
+    "reset": lambda world: world.identifier.reset(),
+    "restart": lambda world: world.identifier.restart(),
+    "resume": lambda world: world.identifier.resume(
+        world.identifier.coefficient_set(world.now_ns), world.identifier.delay
+    ),
+    "note saved": lambda world: world.identifier.note_saved(
+        world.identifier.coefficient_set(world.now_ns)
+    ),
+    "adapt": lambda world: setattr(world.identifier.supervisor, "adapt", True),
+    "hold": lambda world: setattr(world.identifier.supervisor, "adapt", False),
+}
+"""What a service, a parameter or a jump of /clock does to the identifier."""
 
-    name: str
 
-    def __call__(self, world: World) -> None:
-        take = world.identifier
-        if self.name == "reset":
-            take.reset()
-        elif self.name == "restart":
-            take.restart()
-        elif self.name == "resume":
-            take.resume(take.coefficient_set(world.now_ns), take.delay)
-        elif self.name == "note saved":
-            take.note_saved(take.coefficient_set(world.now_ns))
-        else:
-            take.supervisor.adapt = self.name == "adapt"
+def command(world: World, name: str) -> None:
+    COMMANDS[name](world)
+
+
+def some(event: Callable[..., None], **values: st.SearchStrategy[Any]) -> st.SearchStrategy[Event]:
+    return st.builds(partial, st.just(event), **values)
 
 
 flights = st.builds(
@@ -231,18 +217,16 @@ flights = st.builds(
     hostility=st.sampled_from([0.0, 0.0, 0.02, 0.3]),
     seed=st.integers(0, 2**32 - 1),
 )
-gifts = st.builds(
-    Give,
+gifts = some(
+    give_any,
     stream=st.sampled_from(["rates", "actuators", "airspeed"]),
     t_ns=any_stamp,
     values=st.lists(any_float, min_size=1, max_size=7).map(tuple),
     times=st.sampled_from([1, 1, 6]),
 )
-jumps = st.builds(Jump, ns=st.sampled_from([-3600 * S, -2 * S, -MS, 300 * MS, 2 * S, 3600 * S]))
-clocks = st.builds(Set, t_ns=any_stamp)
-commands = st.builds(
-    Command, name=st.sampled_from(["reset", "restart", "resume", "note saved", "adapt", "hold"])
-)
+jumps = some(jump, ns=st.sampled_from([-3600 * S, -2 * S, -MS, 300 * MS, 2 * S, 3600 * S]))
+clocks = some(set_clock, t_ns=any_stamp)
+commands = some(command, name=st.sampled_from(list(COMMANDS)))
 events = st.one_of(flights, flights, flights, gifts, jumps, clocks, commands)
 histories = st.lists(events, min_size=3, max_size=12)
 
@@ -279,7 +263,10 @@ def check(estimate: Estimate, settings: Settings) -> None:
 SLOW_IMU = [Fly(seconds, rate, 0.1, 0.0, 0) for seconds, rate in ((6.0, 4.0), (2.0, 50.0))]
 
 # PX4 stamps with 64 bits of microseconds.
-BEYOND_64_BITS = [Set(2**64 * 1000), SLOW_IMU[1], Set(2**63 - S), SLOW_IMU[1]]
+BEYOND_64_BITS = [
+    partial(set_clock, t_ns=2**64 * 1000), SLOW_IMU[1],
+    partial(set_clock, t_ns=2**63 - S), SLOW_IMU[1],
+]  # fmt: skip
 
 # Signals whose squares have no number any more.
 DENORMAL = [Fly(3.0, 50.0, 1e-160, 0.02, 1)]

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples are used in the order of their stamps, whatever the order they came in."""
+"""Samples are used in the order of their stamps, and one outlying stamp is no new time base."""
 
-import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uav_ident_ros.identification.samples import SampleBuffer
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.samples import LATEST_STAMP, Drop, Intake, SampleBuffer
+from uav_ident_ros.identification.scales import IN_A_ROW
+from uav_ident_ros.identification.settings import Settings
 
 
 def filled(*stamps: int) -> SampleBuffer:
@@ -35,24 +38,6 @@ def test_whatever_the_order_of_arrival_samples_wait_for_a_tick_at_or_after_their
         assert buffer.t.tolist() == buffer.v[:, 0].tolist() == used
 
 
-def test_trim_keeps_the_sample_that_still_applies() -> None:
-    buffer = filled(10, 20, 30)
-    buffer.merge(30)
-    buffer.trim(25)
-    assert buffer.t.tolist() == [20, 30]
-    buffer.trim(20)
-    assert buffer.t.tolist() == [20, 30]
-    buffer.trim(5)
-    assert buffer.t.tolist() == [20, 30]
-
-
-def test_interpolation_is_exact_at_the_samples_and_straight_between() -> None:
-    buffer = filled(10, 20, 40)
-    buffer.merge(40)
-    requested = np.array([10, 15, 20, 35, 40])
-    assert buffer.interpolate(requested)[:, 0].tolist() == [10.0, 15.0, 20.0, 35.0, 40.0]
-
-
 def test_waiting_samples_are_dropped_once_they_are_old() -> None:
     buffer = SampleBuffer(1)
     for t in range(0, 10_000):
@@ -61,3 +46,78 @@ def test_waiting_samples_are_dropped_once_they_are_old() -> None:
     buffer.merge(10_000)
     assert 100 <= len(buffer.t) <= 202
     assert buffer.t[-1] == 9_999
+
+
+# --- stamps -----------------------------------------------------------------------------------
+
+S = 1_000_000_000
+
+
+def intake_at(t_ns: int) -> Intake:
+    """Return one that takes what is at most a second from this stamp."""
+    intake = OnlineIdentifier(Settings()).intake
+    assert add(intake, t_ns) is None
+    return intake
+
+
+def add(intake: Intake, t_ns: int) -> Drop | None:
+    return intake.add_rates(t_ns, (0.1, 0.2, 0.3), (0.0, 0.0, -9.8))
+
+
+@pytest.mark.parametrize("jump", [-3600, -2, 2, 3600])
+def test_a_single_outlier_leaves_the_stream_alone_and_those_that_agree_are_a_new_base(
+    jump: int,
+) -> None:
+    intake = intake_at(10_000 * S)
+    base = (10_000 + jump) * S
+    assert add(intake, base) is Drop.OUTLYING_STAMP
+    assert add(intake, 10_000 * S + S // 200) is None
+    assert intake.newest_ns == 10_000 * S + S // 200
+    verdicts = [add(intake, base + k * S // 200) for k in range(IN_A_ROW)]
+    assert verdicts == [Drop.OUTLYING_STAMP] * (IN_A_ROW - 1) + [None]
+    assert intake.newest_ns == base + (IN_A_ROW - 1) * S // 200
+    assert intake.drops["rates"][Drop.OUTLYING_STAMP] == 1  # those that agree are not lost
+    assert add(intake, base + S // 10) is None
+
+
+def test_outliers_that_disagree_never_become_a_base() -> None:
+    intake = intake_at(10_000 * S)
+    for k in range(50):
+        assert add(intake, (20_000 + 7 * (k % 5)) * S) is Drop.OUTLYING_STAMP
+
+
+def test_a_good_sample_between_breaks_the_agreement() -> None:
+    intake = intake_at(10_000 * S)
+    for k in range(20):
+        assert add(intake, 20_000 * S + k * S // 200) is Drop.OUTLYING_STAMP
+        assert add(intake, 10_000 * S + k * S // 200) is None
+
+
+def test_late_samples_are_good_stamps_and_do_not_turn_time_back() -> None:
+    intake = intake_at(10_000 * S)
+    assert add(intake, 10_000 * S - S // 2) is None
+    assert intake.newest_ns == 10_000 * S
+
+
+def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
+    identifier = OnlineIdentifier(Settings())
+    beyond = LATEST_STAMP + 1
+    for k in range(2 * IN_A_ROW):
+        t_ns = beyond + k * S // 200
+        assert identifier.add_rates(t_ns, (0.1, 0.2, 0.3)) is Drop.BEYOND_STAMP
+        assert identifier.add_actuators(t_ns, (0.0,) * 4) is Drop.BEYOND_STAMP
+        assert identifier.add_airspeed(t_ns, 20.0) is Drop.BEYOND_STAMP
+        assert identifier.add_armed(t_ns, True) is Drop.BEYOND_STAMP
+    assert identifier.intake.due is None
+
+
+def test_ticks_end_with_the_last_stamp() -> None:
+    identifier = OnlineIdentifier(Settings())
+    start = LATEST_STAMP - 1_000_000_000
+    ticks = []
+    for k in range(400):
+        identifier.add_rates(start + k * S // 200, (0.0, 0.01 * (k % 7), 0.0))
+        identifier.add_actuators(start + k * S // 200, (0.0, 0.0, 0.0, 0.0))
+        ticks += [estimate.t_ns for estimate in identifier.advance()]
+    assert ticks
+    assert max(ticks) <= LATEST_STAMP

@@ -7,16 +7,6 @@ import pytest
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 
 
-def test_sizes() -> None:
-    for name, regressors, coefficients in (
-        ("baseline", 12, 18), ("throttle_coupled", 12, 20),
-        ("augmented", 15, 26), ("flight_dynamics", 15, 35),
-    ):  # fmt: skip
-        structure = STRUCTURES[name]
-        assert structure.size == regressors
-        assert structure.mask.sum() == coefficients == len(structure.names)
-
-
 def test_the_papers_sparsity() -> None:
     # Columns of the matrix after (12), with A311 for the misprinted A111.
     mask = STRUCTURES["baseline"].mask

@@ -5,10 +5,9 @@ from copy import deepcopy
 from functools import cache
 from typing import Any
 
+import flying
 import numpy as np
 import pytest
-from flying import AMPLITUDES, Message, messages, plant_flight, run, settings
-from light_aircraft import LightFlight
 
 from uav_ident_ros.identification import supervision
 from uav_ident_ros.identification.estimate import Estimate
@@ -18,25 +17,12 @@ from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT
 
 
-def measured(duration: float, **changes: Any) -> Measurements:
-    return measure(plant_flight(duration, **changes), Sensors(gyro_noise=0.02), seed=2)
-
-
 def flown(measurements: Measurements, **changes: Any) -> tuple[OnlineIdentifier, list[Estimate]]:
-    values = {"structure": "throttle_coupled", **changes}
-    identifier = OnlineIdentifier(settings(measurements, **values))
-    return identifier, run(identifier, messages(measurements))
+    return flying.identified(measurements, **{"structure": "throttle_coupled", **changes})
 
 
-@pytest.fixture(scope="module")
-def excited() -> Measurements:
-    return measured(35.0)
-
-
-def test_a_good_identification_is_usable_but_not_before_it_could_be_judged(
-    excited: Measurements,
-) -> None:
-    _, estimates = flown(excited)
+def test_a_good_identification_is_usable_but_not_before_it_could_be_judged() -> None:
+    _, estimates = flown(flying.measured(35.0))
     last = estimates[-1]
     assert (last.usable, last.state, last.reason) == (True, "converged", "")
     assert (last.fit > 80.0).all()
@@ -47,7 +33,7 @@ def test_a_good_identification_is_usable_but_not_before_it_could_be_judged(
 
 
 def test_samples_that_come_more_slowly_than_ticks_are_not_waited_for() -> None:
-    slow = measure(plant_flight(20.0), Sensors(rate=10.0, gyro_noise=0.02), seed=2)
+    slow = measure(flying.plant_flight(20.0), Sensors(rate=10.0, gyro_noise=0.02), seed=2)
     _, estimates = flown(slow)
     states = [estimate.state for estimate in estimates]
     begun = states.index("learning")
@@ -59,9 +45,9 @@ def test_samples_that_come_more_slowly_than_ticks_are_not_waited_for() -> None:
 
 def quiet_after(seconds: float, **changes: Any) -> Measurements:
     """Half a minute in gusts without an excitation, after so long of one."""
-    segment = Segment("multisine", duration=seconds, amplitudes=AMPLITUDES, seed=1)
+    segment = Segment("multisine", duration=seconds, amplitudes=flying.AMPLITUDES, seed=1)
     gusts = ColouredNoise(0.3, 0.3)
-    return measured(seconds + 30.0, segments=(segment,), gusts=gusts, **changes)
+    return flying.measured(seconds + 30.0, segments=(segment,), gusts=gusts, **changes)
 
 
 def test_quiet_flight_teaches_next_to_nothing() -> None:
@@ -84,17 +70,17 @@ def test_what_was_usable_grows_stale_in_quiet_flight(max_age: float, usable: boo
 
 
 @cache
-def _learned(max_age: float) -> tuple[OnlineIdentifier, list[Message]]:
-    flight = measured(42.0)
-    stream = messages(flight)
+def _learned(max_age: float) -> tuple[OnlineIdentifier, list[flying.Message]]:
+    flight = flying.measured(42.0)
+    stream = flying.messages(flight)
     then_ns = stream[0].t_ns + 35_000_000_000
     values = {"structure": "throttle_coupled", "supervision__max_age": max_age}
-    identifier = OnlineIdentifier(settings(flight, **values))
-    assert run(identifier, (m for m in stream if m.t_ns < then_ns))[-1].usable
+    identifier = OnlineIdentifier(flying.settings(flight, **values))
+    assert flying.run(identifier, (m for m in stream if m.t_ns < then_ns))[-1].usable
     return identifier, [m for m in stream if m.t_ns >= then_ns]
 
 
-def learned(max_age: float) -> tuple[OnlineIdentifier, list[Message]]:
+def learned(max_age: float) -> tuple[OnlineIdentifier, list[flying.Message]]:
     """An identifier that is usable after 35 s, and what comes then."""
     return deepcopy(_learned(max_age))
 
@@ -114,13 +100,13 @@ def test_what_was_usable_grows_stale_while_nothing_can_be_learned(
     if what == "saturated":
         at_limit = (35.0, *(0.0,) * 5)
         rest = [m._replace(values=at_limit) if m.stream == "rates" else m for m in rest]
-    estimates = run(identifier, rest)
+    estimates = flying.run(identifier, rest)
     assert estimates[5].usable
     assert estimates[-1].usable == usable
 
 
 def test_without_adapting_the_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
-    flight = plant_flight(12.0)
+    flight = flying.plant_flight(12.0)
     measurements = measure(flight, Sensors(gyro_noise=0.0), seed=2)
     assert flight.coefficients is not None
     wrong = flight.coefficients * np.where(np.arange(12) == 10, 0.7, 1.0)
@@ -136,12 +122,8 @@ def test_without_adapting_the_fit_tells_the_axis_whose_coefficient_is_wrong() ->
 
 @pytest.mark.parametrize(("travel", "misses"), [(0.03, True), (np.inf, False)])
 def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool) -> None:
-    peaks = {"de": 0.15, "dr": 0.2, "da": 0.15}
-    flight = LightFlight([Segment("multisine", amplitudes=peaks)], 40.0, travel=travel).fly()
-    _, estimates = flown(
-        measure(flight, Sensors(gyro_noise=0.01, accelerometer_noise=0.15), seed=2),
-        structure="flight_dynamics",
-    )
+    m = flying.light_measured(40.0, {"de": 0.15, "dr": 0.2, "da": 0.15}, travel=travel)
+    _, estimates = flying.identified(m)
     late = [estimate.reason for estimate in estimates[-100:]]
     assert all("a limit of travel" in reason for reason in late) == misses
     assert any(estimate.usable for estimate in estimates[-100:]) != misses

@@ -10,25 +10,20 @@ from typing import Any
 import numpy as np
 import programs
 from excerpts import decoded
+from flying import plant_flight
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.import_logs.cli import main
 from uav_ident_ros.messages.types import header_ns
-from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
-
-EXCITED = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
 
 
 def flight(duration: float = 10.0, **sensors: Any) -> Measurements:
     """A plant of the paper's structure under multisines, in the axes of the autopilots."""
-    plan = PlantFlight(
-        (Segment("multisine", 1.0, amplitudes=EXCITED),), duration, actuator_rate=50.0, seed=3,
-        vehicle=vehicle("small_uav"), force=ColouredNoise(0.3, 0.5),
-    )  # fmt: skip
+    flown = plant_flight(duration, actuator_rate=50.0, force=ColouredNoise(0.3, 0.5))
     usual = {"gyro_noise": 0.01, "accelerometer_noise": 0.05, "convention": "frd"}
-    return measure(plan.fly("flight"), Sensors(**{**usual, **sensors}), 3)
+    return measure(flown, Sensors(**{**usual, **sensors}), 3)
 
 
 @dataclass

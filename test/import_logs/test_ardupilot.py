@@ -150,7 +150,34 @@ def test_slow_actuators_name_the_bit_of_log_bitmask(
 ) -> None:
     values = QUAD | {"LOG_BITMASK": mask}
     printed = imported(importer, TITLE, values, pulses=rcou(10)).printed
-    assert f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')" in printed
+    needed = f"20 Hz are needed (LOG_BITMASK {mask}{advice} 'fast attitude')"
+    assert f"{needed}, which logs RATE in its place" in printed
+
+
+def test_all_bits_that_are_missing_are_asked_for_in_the_end(importer: Importer) -> None:
+    """Who sets the last value must not lose what the first was for."""
+    values = QUAD | {"LOG_BITMASK": 830}
+    messages = TITLE + imu()[::20] + rcou(10)
+    printed = importer(write_dataflash(importer.folder / "slow.bin", messages, values)).printed
+    assert "IMU has 12.5 Hz only: 20 Hz are needed (LOG_BITMASK 830: make it 262974" in printed
+    assert "(LOG_BITMASK 830: make it 262975, 'fast attitude')" in printed
+
+
+def test_a_quadplane_flies_by_its_surfaces_unless_its_hover_is_asked_for(
+    importer: Importer,
+) -> None:
+    """RATE is fast, and what is asked of the lift motors alone."""
+    values = servos(4, 19, 70, 21, 33, 34, 35, 36)
+    rows = [(START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",))]
+    rows += at(COMMAND_US, "RATE", (0, 0, 0.1) * 4)
+    rows += at(COMMAND_US[::10], "AETR", (450.0, -900.0, 60.0, 225.0))
+    bag, found, printed = imported(importer, rows, values, pulses=rcou(10))
+    assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
+    assert "structure" not in found
+    assert "RATE, what is asked of its lift motors, is passed over" in printed
+    hover = importer(importer.log, "--actuators-topic", "RATE")
+    assert hover.bag.names == ["roll", "pitch", "yaw", "throttle"]
+    assert hover.values["structure"] == "augmented"
 
 
 def test_aetr_on_request(importer: Importer) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from node_process import StartNode
+from programs import StartNode
 from recordings import Fly, Recording
 
 from uav_ident_ros.player import Player

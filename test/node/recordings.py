@@ -23,8 +23,8 @@ NODE = "/identifier"
 
 Fly = Callable[..., tuple[NodeProcess, Player]]
 
-Spoil = Callable[[Any], None]
-"""What is done to a message."""
+Spoil = Callable[[Any], Any]
+"""What is done to a message; what it returns, if anything, are the bytes to send instead."""
 
 TickValues = dict[int, tuple[float, ...]]
 """Everything published for a tick, by its stamp in ns."""

@@ -6,8 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from node_process import PATIENCE
-from programs import python
+from programs import PATIENCE, python
 from recordings import Fly, part, recording
 from repository import ROOT
 

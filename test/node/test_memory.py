@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 import rclpy.logging
 from estimates import estimate_of
-from node_process import wait_for
-from programs import Capture
+from programs import Capture, wait_for
 from recordings import NODE, Fly, call, recording
 from std_srvs.srv import Trigger
 

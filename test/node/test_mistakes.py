@@ -9,7 +9,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped, Vector3
-from node_process import wait_for
+from programs import wait_for
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from recordings import Spoil, put
 from sensor_msgs.msg import Imu, JointState, MagneticField

@@ -11,8 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 
 import pytest
-from node_process import PATIENCE, StartNode, handled, wait_for
-from programs import Capture, Terminal, python, refusal
+from programs import PATIENCE, Capture, StartNode, Terminal, handled, python, refusal, wait_for
 from recordings import Fly, change, recording
 from repository import ROOT
 

@@ -1,66 +1,61 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services, names and QoS, as the public contract has them: one node, set back for each test."""
+"""Services, names, QoS and optional inputs, as the public contract has them."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import recordings
+from geometry_msgs.msg import TwistStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from recordings import (
-    ACTUATORS_TOPIC,
-    NODE,
-    RATES_TOPIC,
-    Fly,
-    Recording,
-    call,
-    part,
-    published,
-    recording,
-    shown,
-    wait_for_status,
-    wait_for_words,
-)
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
+from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.player import Player
+from uav_ident_ros.ros import to_stamp
 
 
 @pytest.fixture(scope="module")
-def flight() -> Recording:
-    return recording("multisine", 5.0)
+def flight() -> recordings.Recording:
+    return recordings.recording("multisine", 5.0)
 
 
 @pytest.fixture(scope="module")
-def shared(flight: Recording, shared_fly: Fly) -> Player:
+def shared(flight: recordings.Recording, shared_fly: recordings.Fly) -> Player:
     return shared_fly(flight)[1]
 
 
 @pytest.fixture
 def player(shared: Player) -> Player:
     """A player for a node that starts cold."""
-    assert call(shared, Trigger, "reset").success
+    assert recordings.call(shared, Trigger, "reset").success
     shared.outputs.clear()
     return shared
 
 
-def test_reset_starts_cold(flight: Recording, player: Player) -> None:
+def test_reset_starts_cold(flight: recordings.Recording, player: Player) -> None:
     player.play_in_step(flight.messages)
-    first = published(player.outputs)
-    assert call(player, Trigger, "reset").success
+    first = recordings.published(player.outputs)
+    assert recordings.call(player, Trigger, "reset").success
     player.play_in_step(flight.messages)
     assert len(first) > 80
-    assert published(player.outputs) == first
+    assert recordings.published(player.outputs) == first
 
 
 def test_save_writes_what_is_published_and_diagnostics_compare_with_it(
-    flight: Recording, player: Player
+    flight: recordings.Recording, player: Player
 ) -> None:
-    nothing = call(player, Trigger, "save")
+    nothing = recordings.call(player, Trigger, "save")
     assert not nothing.success
     assert "no estimate" in nothing.message
     player.play_in_step(flight.messages)
-    answer = call(player, Trigger, "save")
+    answer = recordings.call(player, Trigger, "save")
     assert answer.success, answer.message
     path = Path(answer.message.split("'")[1])
     assert path.parts[-2:] == ("uav_ident_ros", "identifier.yaml")
@@ -70,37 +65,40 @@ def test_save_writes_what_is_published_and_diagnostics_compare_with_it(
     assert np.array_equal(saved.values, dense)
     assert saved.t_ns == player.outputs.newest_ns
 
-    wait_for_status(player)  # with it the node takes note of what was written
+    recordings.wait_for_status(player)  # with it the node takes note of what was written
     player.play_in_step(flight.messages)
-    values, newest = shown(player), player.outputs.named[-1]
+    values, newest = recordings.shown(player), player.outputs.named[-1]
     assert float(values["saved fit p [%]"]) != 0.0
     fit = newest.position[list(newest.name).index("fit/q")]
     assert float(values["fit q [%]"]) == pytest.approx(fit, abs=0.06)
     assert 0.0 < float(values["excitation qdot [0..1]"]) <= 1.0
     assert values["changed in flight"] == "nothing"
     assert 0.0 < float(values["ticks: update time p99 [ms]"]) < 1000.0
-    for stream, topic in (("rates", RATES_TOPIC), ("actuators", ACTUATORS_TOPIC)):
+    for stream, topic in (
+        ("rates", recordings.RATES_TOPIC),
+        ("actuators", recordings.ACTUATORS_TOPIC),
+    ):
         assert values[f"{stream}: topic"] == topic
         assert int(values[f"{stream}: messages"]) >= 2 * sum(
             m.topic == topic for m in flight.messages
         )
 
 
-def test_adapt_switches_learning_off_and_on(flight: Recording, player: Player) -> None:
-    player.play_in_step(part(flight, 0.0, 1.5))
+def test_adapt_switches_learning_off_and_on(flight: recordings.Recording, player: Player) -> None:
+    player.play_in_step(recordings.part(flight, 0.0, 1.5))
     learned = player.outputs.coefficients[-1].data
-    assert call(player, SetBool, "adapt", data=False).success
-    player.play_in_step(part(flight, 1.5, 3.0))
+    assert recordings.call(player, SetBool, "adapt", data=False).success
+    player.play_in_step(recordings.part(flight, 1.5, 3.0))
     assert {tuple(m.data) for m in player.outputs.coefficients} == {tuple(learned)}
-    wait_for_words(player, "switched off")
-    assert call(player, SetBool, "adapt", data=True).success
-    player.play_in_step(part(flight, 3.0, 4.5))
+    recordings.wait_for_words(player, "switched off")
+    assert recordings.call(player, SetBool, "adapt", data=True).success
+    player.play_in_step(recordings.part(flight, 3.0, 4.5))
     assert player.outputs.coefficients[-1].data != learned
 
 
-def test_quality_of_service_is_the_contracts(flight: Recording, player: Player) -> None:
+def test_quality_of_service_is_the_contracts(flight: recordings.Recording, player: Player) -> None:
     def profile(topic: str) -> QoSProfile:
-        (end,) = player.node.get_publishers_info_by_topic(f"{NODE}/{topic}")
+        (end,) = player.node.get_publishers_info_by_topic(f"{recordings.NODE}/{topic}")
         return end.qos_profile
 
     for name in ("coefficients_named", "coefficients"):
@@ -112,3 +110,67 @@ def test_quality_of_service_is_the_contracts(flight: Recording, player: Player) 
     for topic in flight.types:
         (used,) = player.node.get_subscriptions_info_by_topic(topic)
         assert used.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+AIRSPEED, ARMED = "/airspeed", "/armed"
+EVERY = 20
+"""Messages of the flight per airspeed: about 12 Hz."""
+
+
+def airspeed(kind: type, stamp_ns: int, value: float) -> Any:
+    if kind is Float64:
+        return Float64(data=value)
+    twist = TwistStamped()
+    twist.header.stamp = to_stamp(stamp_ns)
+    twist.twist.linear.x = value
+    return twist
+
+
+@pytest.mark.parametrize(
+    ("one_clock", "name", "kind"),
+    [
+        (True, "geometry_msgs/msg/TwistStamped", TwistStamped),
+        (False, "std_msgs/msg/Float64", Float64),  # arrivals are years from the recorded stamps
+    ],
+)
+def test_node_learns_with_an_airspeed_and_only_while_armed(
+    fly: recordings.Fly, one_clock: bool, name: str, kind: type
+) -> None:
+    plain = recordings.recording("multisine", 8.0)
+    types = {**plain.types, AIRSPEED: name, ARMED: "std_msgs/msg/Bool"}
+    flight = replace(plain, types=types)
+    parameters = {"airspeed.type": name, "armed.type": types[ARMED]}
+    node, player = fly(flight, parameters=parameters, sim_time=one_clock)
+    learned = player.outputs.coefficients
+    count = dropped = 0
+
+    def play(begin: float, end: float, armed: bool) -> None:
+        nonlocal count, dropped
+        chosen = recordings.part(flight, begin, end)
+        messages = [Message(ARMED, chosen[0].log_ns, serialize_message(Bool(data=armed)))]
+        for number, message in enumerate(chosen):
+            messages.append(message)
+            if number % EVERY == 0:
+                bad = number % (5 * EVERY) == 0
+                speed = airspeed(kind, message.log_ns, math.nan if bad else 20.0)
+                messages.append(Message(AIRSPEED, message.log_ns, serialize_message(speed)))
+                count, dropped = count + 1, dropped + bad
+        player.play_in_step(messages)
+
+    player.play_in_step(recordings.part(flight, 0.0, 2.0))
+    recordings.wait_for_words(player, "no message on '/airspeed' yet")
+    play(2.0, 4.0, armed=False)
+    assert len({tuple(m.data) for m in learned}) == 1
+    recordings.wait_for_words(player, "not armed")
+    play(4.0, 6.0, armed=True)
+    assert learned[-1].data != learned[0].data
+    play(6.0, 8.0, armed=False)
+    assert learned[-1].data == learned[-20].data
+    for topic in (AIRSPEED, ARMED):
+        unstamped = topic == ARMED or kind is Float64
+        printed = f"'{topic}': its messages carry no time" in node.log
+        assert printed is (unstamped and not one_clock)
+    values = recordings.shown(player)
+    assert int(values["airspeed: dropped: not finite"]) == dropped
+    assert int(values["airspeed: messages"]) == count
+    assert "'/armed': message dropped" not in node.log

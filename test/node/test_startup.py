@@ -5,8 +5,7 @@ import json
 import signal
 from pathlib import Path
 
-from node_process import PATIENCE, StartNode, handled, wait_for
-from programs import python
+from programs import PATIENCE, StartNode, handled, python, wait_for
 
 from uav_ident_ros.identification.settings import declarations
 

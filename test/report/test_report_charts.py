@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
-from excerpts import SECOND_NS, excerpt, parameters, replayed_run
+from excerpts import SECOND_NS, START_NS, excerpt, parameters, replayed_run
 
 from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
@@ -30,9 +30,6 @@ from uav_ident_ros.report.flight import Flight, Predictions, predict
 from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
-
-START_NS = 1_700_000_000 * SECOND_NS
-"""When the flight of the bag begins."""
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 
 import hashlib
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 import yaml
 from excerpts import BAGS, excerpt, replay
 from excerpts import summary as summary_of
-from html_page import Node, parse
+from html_page import one, parse, rows_of, words
 
 import uav_ident_ros
 from uav_ident_ros.files.meanings import MEANINGS
@@ -41,13 +42,13 @@ CHARTS = [
 """All but those of the coefficients."""
 
 
-def charts(page: Node) -> list[str]:
-    names = [figure.attributes["id"] for figure in page.all("figure")]
+def charts(page: ET.Element) -> list[str]:
+    names = [figure.attrib["id"] for figure in page.iter("figure")]
     return [name for name in names if not name.startswith("coefficient-")]
 
 
 @pytest.fixture(scope="module")
-def page(replayed_example: Path) -> Node:
+def page(replayed_example: Path) -> ET.Element:
     return parse((replayed_example / "report.html").read_text(encoding="utf-8"))
 
 
@@ -56,61 +57,59 @@ def summary(replayed_example: Path) -> dict[str, Any]:
     return summary_of(replayed_example)
 
 
-def exact(cell: Node) -> float | None:
+def exact(cell: ET.Element) -> float | None:
     """The number behind a cell; None if it shows none."""
-    found = list(cell.all("data"))
-    return float(found[0].attributes["value"]) if found else None
+    found = list(cell.iter("data"))
+    return float(found[0].attrib["value"]) if found else None
 
 
-def table(page: Node, caption: str) -> Node:
-    (found,) = [t for t in page.all("table") if t.one("caption").text.startswith(caption)]
+def table(page: ET.Element, caption: str) -> ET.Element:
+    (found,) = [t for t in page.iter("table") if words(one(t, "caption")).startswith(caption)]
     return found
 
 
 # --- what is there ---------------------------------------------------------------------------
 
 
-def test_every_section_and_chart_is_there_and_linked(page: Node) -> None:
-    assert [section.attributes["id"] for section in page.all("section")] == SECTIONS
+def test_every_section_and_chart_is_there_and_linked(page: ET.Element) -> None:
+    assert [section.attrib["id"] for section in page.iter("section")] == SECTIONS
     assert charts(page) == CHARTS
-    coefficients = [
-        n.attributes["id"] for n in page.one("section", id="coefficients").all("figure")
-    ]
-    assert len(coefficients) == len(table(page, "Coefficients, SI").rows())
-    assert [a.attributes["href"] for a in page.one("nav").all("a")] == [f"#{s}" for s in SECTIONS]
-    assert page.one("h1").text == "c172p"
-    drawn = "".join(script.text for script in page.all("script"))
+    coefficients = [n.attrib["id"] for n in one(page, "section[@id='coefficients']").iter("figure")]
+    assert len(coefficients) == len(rows_of(table(page, "Coefficients, SI")))
+    assert [a.attrib["href"] for a in one(page, "nav").iter("a")] == [f"#{s}" for s in SECTIONS]
+    assert words(one(page, "h1")) == "c172p"
+    drawn = "".join(words(script) for script in page.iter("script"))
     (end,) = {float(found) for found in re.findall(r'"bounds":\[0\.0,([\d.]+)\]', drawn)}
     assert end == pytest.approx(75.0, abs=0.1)
 
 
-def test_charts_and_tables_are_labelled_for_screen_readers(page: Node) -> None:
-    assert page.one("html").attributes["lang"] == "en"
-    assert page.one("meta", name="viewport").attributes["content"].startswith("width=device-width")
-    for figure in page.all("figure"):
-        assert figure.one("h3").text
-        chart = figure.one("div", class_="chart")
-        assert chart.attributes["role"] == "img"
-        assert len(chart.attributes["aria-label"]) > 15
-    for found in page.all("table"):
-        assert found.one("caption").text
-        for heading in found.all("th"):
-            assert heading.attributes["scope"] in ("row", "col")
+def test_charts_and_tables_are_labelled_for_screen_readers(page: ET.Element) -> None:
+    assert (page.tag, page.attrib["lang"]) == ("html", "en")
+    assert one(page, "meta[@name='viewport']").attrib["content"].startswith("width=device-width")
+    for figure in page.iter("figure"):
+        assert words(one(figure, "h3"))
+        chart = one(figure, "div[@class='chart']")
+        assert chart.attrib["role"] == "img"
+        assert len(chart.attrib["aria-label"]) > 15
+    for found in page.iter("table"):
+        assert words(one(found, "caption"))
+        for heading in found.iter("th"):
+            assert heading.attrib["scope"] in ("row", "col")
 
 
 # --- numbers ---------------------------------------------------------------------------------
 
 
-def test_coefficients_are_those_of_the_summary(page: Node, summary: dict[str, Any]) -> None:
-    rows = table(page, "Coefficients, SI").rows()
-    assert [row[0].text for row in rows] == list(summary["coefficients"])
+def test_coefficients_are_those_of_the_summary(page: ET.Element, summary: dict[str, Any]) -> None:
+    rows = rows_of(table(page, "Coefficients, SI"))
+    assert [words(row[0]) for row in rows] == list(summary["coefficients"])
     for name, value, _true, sigma, ratio, meaning in rows:
-        entry = summary["coefficients"][name.text]
+        entry = summary["coefficients"][words(name)]
         assert exact(value) == entry["value"]
         assert exact(sigma) == entry["sigma"]
         assert exact(ratio) == pytest.approx(abs(entry["value"]) / entry["sigma"])
-        assert float(value.text.replace("−", "-")) == pytest.approx(entry["value"], rel=1e-3)
-        assert meaning.text == MEANINGS[name.text]
+        assert float(words(value).replace("−", "-")) == pytest.approx(entry["value"], rel=1e-3)
+        assert words(meaning) == MEANINGS[words(name)]
 
 
 def test_what_is_fixed_or_unknown_has_no_t_ratio() -> None:
@@ -128,20 +127,21 @@ def test_what_is_fixed_or_unknown_has_no_t_ratio() -> None:
     assert [str(row.cells[1]) for row in known.rows] == ["-6.5", "-", "-"]
 
 
-def test_shares_of_the_flight_make_a_whole(page: Node) -> None:
-    rows = table(page, "Where the flight went").rows()
-    assert rows[-1][0].text == "learned"
+def test_shares_of_the_flight_make_a_whole(page: ET.Element) -> None:
+    rows = rows_of(table(page, "Where the flight went"))
+    assert words(rows[-1][0]) == "learned"
     assert exact(rows[-1][1]) > 90.0
     assert sum(exact(row[1]) for row in rows) == pytest.approx(100.0)
 
 
-def test_coefficients_that_go_together_are_shown(page: Node) -> None:
+def test_coefficients_that_go_together_are_shown(page: ET.Element) -> None:
     rows = {
-        row[0].text: row[1:] for row in table(page, "Correlation of the coefficients of q").rows()
+        words(row[0]): row[1:]
+        for row in rows_of(table(page, "Correlation of the coefficients of q"))
     }
     # pitch damping and elevator power are separated by one flight, not each by its own
     assert 0.3 < abs(exact(rows["de"][3])) <= 1.0
-    inputs = {row[0].text: row[1:] for row in table(page, "Correlation with the inputs").rows()}
+    inputs = {words(row[0]): row[1:] for row in rows_of(table(page, "Correlation with the inputs"))}
     assert [exact(inputs[name][k]) for k, name in enumerate(INPUTS[:3])] == pytest.approx([1.0] * 3)
 
 
@@ -149,12 +149,12 @@ def test_coefficients_that_go_together_are_shown(page: Node) -> None:
     "caption, windows", [("Last 40 %", "last_40_percent"), ("After 30 s", "after_30_s")]
 )
 def test_fits_are_those_of_the_summary(
-    page: Node, summary: dict[str, Any], caption: str, windows: str
+    page: ET.Element, summary: dict[str, Any], caption: str, windows: str
 ) -> None:
     found = table(page, caption)
     fit = summary["prediction_fit"][windows]
-    assert f"{fit['windows']} windows" in found.one("caption").text
-    rows = {row[0].text: [exact(cell) for cell in row[1:]] for row in found.rows()}
+    assert f"{fit['windows']} windows" in words(one(found, "caption"))
+    rows = {words(row[0]): [exact(cell) for cell in row[1:]] for row in rows_of(found)}
     for ahead, free in fit["free"].items():
         assert rows[f"free prediction, {ahead}"] == list(free["model"].values())
         assert rows[f"holding the rates for {ahead}"] == list(free["hold"].values())
@@ -163,47 +163,51 @@ def test_fits_are_those_of_the_summary(
     assert rows["with measured forces, 1 s"] == measured
 
 
-def test_cards_show_the_fit_beside_holding(page: Node, summary: dict[str, Any]) -> None:
+def test_cards_show_the_fit_beside_holding(page: ET.Element, summary: dict[str, Any]) -> None:
     fit = summary["prediction_fit"]["last_40_percent"]
-    cards = list(page.one("ul", class_="cards").all("li"))
+    cards = list(one(page, "ul[@class='cards']").iter("li"))
     for axis, card in zip("pqr", cards, strict=True):
-        assert fit["model"][axis] in [exact(part) for part in card.all("span")]
-        assert exact(card.one("span", class_="beside")) == fit["hold"][axis]
-    rows = {row[0].text: row[1:] for row in table(page, "Last 40 %").rows()}
-    one, hold = rows["one tick (0.05 s) ahead"], rows["holding the rates for one tick"]
-    assert all(exact(a) > exact(b) for a, b in zip(one, hold, strict=True))
+        assert fit["model"][axis] in [exact(part) for part in card.iter("span")]
+        assert exact(one(card, "span[@class='beside']")) == fit["hold"][axis]
+    rows = {words(row[0]): row[1:] for row in rows_of(table(page, "Last 40 %"))}
+    ahead, hold = rows["one tick (0.05 s) ahead"], rows["holding the rates for one tick"]
+    assert all(exact(a) > exact(b) for a, b in zip(ahead, hold, strict=True))
 
 
-def test_verdict_and_advice_are_those_of_the_summary(page: Node, summary: dict[str, Any]) -> None:
-    verdict = page.one("div", class_="verdict usable" if summary["usable"] else "verdict")
-    assert verdict.one("strong").text == "Usable."
-    assert summary["state"] in verdict.text
-    printed = [item.text for item in verdict.all("li")]
-    printed[:0] = [first.text.removeprefix("First: ") for first in verdict.all("p", class_="first")]
+def test_verdict_and_advice_are_those_of_the_summary(
+    page: ET.Element, summary: dict[str, Any]
+) -> None:
+    verdict = one(page, f"div[@class='{'verdict usable' if summary['usable'] else 'verdict'}']")
+    assert words(one(verdict, "strong")) == "Usable."
+    assert summary["state"] in words(verdict)
+    printed = [words(item) for item in verdict.iter("li")]
+    printed[:0] = [
+        words(first).removeprefix("First: ") for first in verdict.iterfind(".//p[@class='first']")
+    ]
     expected = [entry["text"] for entry in summary["advice"]] + summary["notes"]
     assert [text.lower() for text in printed] == [f"{text.lower()}." for text in expected]
 
 
 def test_messages_and_settings_are_those_of_the_summary(
-    page: Node, summary: dict[str, Any]
+    page: ET.Element, summary: dict[str, Any]
 ) -> None:
-    for row in table(page, "Messages").rows():
-        entry = summary["inputs"][row[0].text]
-        assert [cell.text for cell in row[1:3]] == [entry["topic"], entry["type"]]
+    for row in rows_of(table(page, "Messages")):
+        entry = summary["inputs"][words(row[0])]
+        assert [words(cell) for cell in row[1:3]] == [entry["topic"], entry["type"]]
         assert exact(row[3]) == entry["received"]
-    changed = table(page, "Settings that differ").rows()
-    kept = table(page, "Settings at").rows()
+    changed = rows_of(table(page, "Settings that differ"))
+    kept = rows_of(table(page, "Settings at"))
     given = yaml.safe_load((BAGS / "c172p" / "identifier.yaml").read_text())
-    assert {row[0].text for row in changed} <= set(given["/**"]["ros__parameters"])
-    assert sorted(row[0].text for row in changed + kept) == sorted(s.name for s in declarations())
+    assert {words(row[0]) for row in changed} <= set(given["/**"]["ros__parameters"])
+    assert sorted(words(row[0]) for row in changed + kept) == sorted(s.name for s in declarations())
 
 
-def test_origin_names_the_bag_by_its_hash(page: Node) -> None:
-    ((name, size, digest),) = table(page, "Bag").rows()
+def test_origin_names_the_bag_by_its_hash(page: ET.Element) -> None:
+    ((name, size, digest),) = rows_of(table(page, "Bag"))
     content = (BAGS / "c172p" / "c172p.mcap").read_bytes()
-    assert (name.text, size.text) == ("c172p.mcap", str(len(content)))
-    assert digest.text == hashlib.sha256(content).hexdigest()
-    versions = {row[0].text: row[1].text for row in table(page, "Software").rows()}
+    assert (words(name), words(size)) == ("c172p.mcap", str(len(content)))
+    assert words(digest) == hashlib.sha256(content).hexdigest()
+    versions = {words(row[0]): words(row[1]) for row in rows_of(table(page, "Software"))}
     assert versions["uav_ident_ros"] == uav_ident_ros.__version__
     assert versions["numpy"] == np.__version__
 
@@ -212,15 +216,15 @@ def test_origin_names_the_bag_by_its_hash(page: Node) -> None:
 
 
 def test_nothing_is_loaded_from_anywhere_and_the_file_is_small(
-    page: Node, replayed_example: Path
+    page: ET.Element, replayed_example: Path
 ) -> None:
     assert (replayed_example / "report.html").stat().st_size < LARGEST_FILE
-    tags = {node.tag for node in page.all()}
+    tags = {node.tag for node in page.iter()}
     assert not tags & {"link", "iframe", "object", "embed", "base", "form", "img"}
-    assert "@import" not in page.one("style").text
-    assert "url(" not in page.one("style").text
-    for node in page.all():
-        for name, value in node.attributes.items():
+    assert "@import" not in words(one(page, "style"))
+    assert "url(" not in words(one(page, "style"))
+    for node in page.iter():
+        for name, value in node.attrib.items():
             assert not name.startswith("on")
             if name in ("src", "href", "srcset", "action", "data"):
                 assert value.startswith("#"), value
@@ -234,18 +238,18 @@ def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: 
     bag, output = excerpt(tmp_path / name, 1.5), tmp_path / "out"
     assert replay(bag, output, "--report") == NOT_USABLE
     page = parse((output / "report.html").read_text(encoding="utf-8"))
-    assert page.one("h1").text == name
-    assert [b.text for b in page.all("b")] == ["First:"]
-    verdict = page.one("div", class_="verdict")
-    assert verdict.one("strong").text.startswith("Not usable: ")
-    assert verdict.one("p", class_="first").text.startswith("First: The aircraft hardly flew")
+    assert words(one(page, "h1")) == name
+    assert [words(b) for b in page.iter("b")] == ["First:"]
+    verdict = one(page, "div[@class='verdict']")
+    assert words(one(verdict, "strong")).startswith("Not usable: ")
+    assert words(one(verdict, "p[@class='first']")).startswith("First: The aircraft hardly flew")
     assert [a["name"] for a in summary_of(output)["advice"]] == ["never_flew", "short_flight"]
-    assert verdict.one("ol").text.strip().startswith("The flight is short, 2 s")
-    assert all(exact(cell) is None for cell in table(page, "After 30 s").rows()[0][1:])
+    assert words(one(verdict, "ol")).strip().startswith("The flight is short, 2 s")
+    assert all(exact(cell) is None for cell in rows_of(table(page, "After 30 s"))[0][1:])
     shown = charts(page)
     assert "rates-p" in shown
     assert not {"spectra-rates", "whiteness", "delay-curve"} & set(shown)
-    assert page.one("section", id="delay").one("p").text.startswith("Too little")
+    assert words(one(one(page, "section[@id='delay']"), "p")).startswith("Too little")
 
 
 def test_a_servo_lag_is_told_before_a_block_was_judged_with_it() -> None:

@@ -56,9 +56,10 @@ def test_its_airspeed_is_measured_ten_times_a_second() -> None:
 
 
 def test_a_command_acts_after_the_delay_and_not_before() -> None:
-    prompt, late = (flown(delay=delay)[1] for delay in (0.0, 0.03))
     steady = flown(size=0.0)[1]
-    for samples, first in ((prompt, 1), (late, 4)):  # samples of 10 ms; 30 ms are three
+    # steps of 1 ms, ten a sample; the rates follow the surfaces a step later
+    for delay, first in ((0.0, 1), (0.03, 4), (0.038, 4), (0.039, 5)):
+        samples = flown(delay=delay)[1]
         moved = [abs(a.rates[0] - b.rates[0]) > 1e-9 for a, b in zip(samples, steady, strict=True)]
         assert moved.index(True) == first
 

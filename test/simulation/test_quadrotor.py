@@ -1,20 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quadrotor: its physics by hand, and that the identifier finds what it is."""
+"""The quadrotor: its physics by hand, that the identifier finds it, and that the law flies it."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from flying import identify
+from flying import identified
+from loop import Loop
 
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
+from uav_ident_ros.control import Law, RateController
+from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.cli import main
+from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, Body, Quadrotor, QuadrotorFlight
+from uav_ident_ros.simulation.quadrotor_flight import (
+    AMPLITUDES,
+    Body,
+    LiveQuadrotor,
+    Quadrotor,
+    QuadrotorFlight,
+)
+from uav_ident_ros.simulation.rate_reference import Manoeuvres
+
+pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 
 def hovering(**inputs: float) -> tuple[Quadrotor, list[float]]:
@@ -41,9 +57,9 @@ def flight() -> Flight:
 
 def test_it_is_identified_from_hover(flight: Flight) -> None:
     sensors = Sensors(rate=200.0, gyro_noise=0.01, accelerometer_noise=0.1, channels="quadrotor")
-    identifier, coefficients = identify(measure(flight, sensors, 0))
+    identifier, (*_, last) = identified(measure(flight, sensors, 0))
     for name, truth in flight.local_truth.items():
-        found = coefficients[identifier.structure.index(name)]
+        found = last.coefficients[identifier.structure.index(name)]
         assert found == pytest.approx(truth, rel=0.05), name
     assert np.degrees(np.abs(flight.extra["angles"][:, :2]).max()) < 10.0
 
@@ -56,3 +72,89 @@ def test_the_command_flies_it_and_its_parameters_are_accepted(tmp_path: Path) ->
     assert settings.actuators.time_constant == Body().time_constant
     assert settings.actuators.channels == QUADROTOR.names
     assert settings.actuators.thrust_curve == (1.0,) * 4
+
+
+FILES = Path(__file__).resolve().parents[2] / "config" / "closed_loop"
+SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
+START_NS = 1_700_000_000 * 10**9
+
+
+class Level:
+    """Levels it."""
+
+    def rates(self, _: float, roll: float, pitch: float, _dt: float) -> FloatArray:
+        return np.array([-roll, -pitch, 0.0])
+
+
+def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = None) -> FloatArray:
+    """Rates minus reference over time, rad/s, under the law with the files' coefficients.
+
+    It is kept level, or led through the manoeuvres of the loop while it is identified.
+    """
+    known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")
+    controller = load_parameters(FILES / "quadrotor.yaml", "controller")
+    limits = np.array([controller["least"], controller["largest"]]) - controller["trim"]
+    source = CoefficientSource(Fallback.NOMINAL, known)
+    chosen = Law(controller.get("law", "incremental"))
+    law = RateController(source, known, limits, controller["delay"], chosen, adaptive=False)
+    craft = LiveQuadrotor(SENSORS, 0.01, [parse_fault(text) for text in faults])
+    guide = Manoeuvres(bank=0.2, pitch=0.2, hold=(2.0, 4.0), airspeed=1000.0, seed=0)
+    loop = Loop(craft, craft.trim, guide if identifier else Level(), law, identifier)
+    errors = []
+    while craft.time < seconds:
+        sample, reference = loop.answer()
+        craft.advance()
+        errors.append(sample.rates - reference)
+    assert np.ptp(craft.outputs) < 1.0
+    return np.array(errors)
+
+
+def test_the_law_flies_it_and_stands_a_weak_motor() -> None:
+    errors = np.abs(flown(8.0, "3: motor_front_left effect 0.7"))
+    before, after = errors[100:300].max(axis=0), errors[700:].max(axis=0)
+    assert before.max() < 0.05 and after.max() < 0.05
+    assert errors[300:400].max() > 0.2  # it was felt
+
+
+def test_a_weak_motor_is_a_step_of_the_constant_moments_and_relearned_within_five_seconds() -> None:
+    """The controller answers it with a step of its inputs: no control derivative has changed."""
+    values = load_parameters(FILES / "quadrotor.yaml", "identifier")
+    settings = Settings.from_values({**values, "imu.convention": "frd"})
+    identifier = OnlineIdentifier(
+        settings, load_coefficients(FILES / "quadrotor_coefficients.yaml")
+    )
+    errors = flown(25.0, "20: motor_front_left effect 0.7", identifier=identifier)
+    found, names = identifier.coefficient_set().values, identifier.structure
+    # what it does to the yaw is small, and learned without a reset
+    assert [change.name for change in identifier.supervisor.changed] == ["pdot/1", "qdot/1"]
+    assert identifier.supervisor.changed[-1].t - START_NS * 1e-9 < 22.0
+    for name, truth in Body().derivatives().items():
+        if name[-2:] in ("de", "dr", "da"):  # a quarter of the effect is 0.7 of what it was
+            assert found[names.index(name)] == pytest.approx(0.925 * truth, rel=0.15), name
+    healthy, after = errors[500:2000], errors[2200:]
+    assert (rms(after)[:2] < 1.3 * rms(healthy)[:2]).all()
+
+
+def rms(errors: FloatArray) -> FloatArray:
+    return np.sqrt(np.mean(errors**2, axis=0))
+
+
+def test_its_channels_are_the_motors_and_they_act_after_the_delay() -> None:
+    craft = LiveQuadrotor(Sensors(rate=100.0), delay=0.02)
+    assert craft.names == QUADROTOR.names
+    craft.command(np.array([0.0, 0.0, 0.02]))
+    np.testing.assert_allclose(craft.outputs, [0.49, 0.51, 0.51, 0.49])
+    rolls = []
+    for _ in range(4):
+        craft.advance()
+        rolls.append(float(craft.sample().rates[0]))
+    assert rolls[1] == pytest.approx(0.0, abs=1e-12) and rolls[2] > 1e-3
+
+
+def test_the_files_of_its_loop_fit_each_other() -> None:
+    values = load_parameters(FILES / "quadrotor.yaml", "identifier")
+    settings = Settings.from_values(values)
+    known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")
+    assert known.structure.name == settings.structure
+    for name in settings.fixed_coefficients:
+        assert known.sigma[known.structure.index(name)] == 0.0

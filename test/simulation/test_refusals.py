@@ -4,6 +4,7 @@
 import sys
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
@@ -22,6 +23,7 @@ from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor, QuadrotorFl
 
 SMALL_UAV = vehicle("small_uav")
 LONG_DOUBLET = Segment("doublet", amplitudes={"da": 1.5}, unit=2.0)
+FOUR = dict.fromkeys(("de", "dr", "da", "dth"), 0.1)
 WILD = Segment("multisine", amplitudes={"da": 0.9})
 
 
@@ -45,6 +47,7 @@ def faulty(text: str) -> object:
 REFUSED: list[tuple[str, Callable[[], object]]] = [
     ("sweep", lambda: Segment("sweep")),
     ("flap", lambda: Segment("multisine", amplitudes={"flap": 0.1})),
+    ("at least 4", lambda: Segment("multisine", period=1.0, amplitudes=FOUR).sample(np.zeros(1))),
     ("unit", lambda: Segment("3211", unit=0.0)),
     ("duration", lambda: Segment("quiet", duration=-1.0)),
     ("delay", lambda: flown(delay=0.0105123)),

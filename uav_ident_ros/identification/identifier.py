@@ -579,6 +579,12 @@ class OnlineIdentifier:
             lag_is_told=self.lag > 0.0 or not self.settings.actuators.estimate_delay,
         )
 
+    @property
+    def setup_doubts(self) -> list[str]:
+        """Which setting falsifies each moment row by more than the verdict allows; '' if none."""
+        needed = self.settings.supervision.min_t_ratio
+        return self._setup_errors.denied(self.estimator.coefficients, needed)
+
     def _judge(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> None:
         """Give the verdict anew: something was learned, or scored, since the last one."""
         estimator, settings = self.estimator, self.settings.supervision
@@ -588,7 +594,7 @@ class OnlineIdentifier:
             sigma,
             self.running_fit,
             estimator.model_error,
-            self._setup_errors.denied(estimator.coefficients, settings.min_t_ratio),
+            self.setup_doubts,
             math.inf if self._warm else self._learned_time,
         )
         if settings.plausibility:

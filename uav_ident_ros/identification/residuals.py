@@ -143,6 +143,9 @@ ANSWER_TIMES = np.array([0.1, 0.5, 2.5])
 """Time constants in which past residuals fade, s: from a rate loop to one that holds attitudes."""
 
 
+_MAIN_PLACES = [INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
+
+
 class Feedback:
     """Follows how much of the inputs past residuals explain: feedback is not information.
 
@@ -156,6 +159,11 @@ class Feedback:
 
     where the sum of independent disturbances has a correlation time in place of T. Of w the
     residual shows what is not in the estimate already (`Information.spread`).
+
+    No answer does more than its gust: no loop overcompensates over its whole band. Where the share
+    that seems to answer does, past residuals explain it by chance, as they do where both are slow,
+    or since the model is poor; unless they also foretell what is new in the input, beside its own
+    past (Granger, Econometrica 37, 1969).
 
     Parameters
     ----------
@@ -178,10 +186,15 @@ class Feedback:
         self._driven_by = layout.driven_by
         self._past: FloatArray = np.zeros((len(ANSWER_TIMES), len(ROWS)))
         self._answers = self._past.size + 1  # and the constant
-        size = self._answers + len(INPUTS)
+        self._inputs = slice(self._answers, self._answers + len(INPUTS))
+        self._gusts = slice(self._inputs.stop, self._inputs.stop + len(ROWS))
+        self._before: FloatArray = np.zeros((ORDER, len(INPUTS)))  # the newest first
+        self._interval = 0.0  # of the samples, s
+        size = self._gusts.stop + self._before.size
         self._products: FloatArray = np.zeros((size, size))
         self._gathered: list[tuple[Regression, FloatArray, float]] = []
         self._since_look = 0.0
+        self._effect: FloatArray = np.zeros(len(ROWS))
         self._set_share(np.zeros(len(INPUTS)), np.zeros(len(INPUTS), dtype=bool))
 
     def _set_share(self, share: FloatArray, sure: BoolArray) -> None:
@@ -191,7 +204,13 @@ class Feedback:
         answering = (root[..., :, None] * root[..., None, :]).swapaxes(0, 1)
         self.answering: FloatArray | None = answering if share.any() else None
 
-    def add(self, samples: Regression, residual: FloatArray, weight: FloatArray) -> None:
+    def add(
+        self,
+        samples: Regression,
+        residual: FloatArray,
+        weight: FloatArray,
+        effect: FloatArray,
+    ) -> None:
         """Take samples; they are looked at every `INDEPENDENT_TIME`.
 
         Parameters
@@ -202,7 +221,10 @@ class Feedback:
             Their residuals in the moment rows, rad/s^2.
         weight : (3,) array
             How much the rows learn from them, 0 ... 1.
+        effect : (3,) array
+            Size of each row's main control derivative, 0 where it is not known.
         """
+        self._effect = effect
         self._gathered.append((samples, residual, samples.dt * max(weight.tolist())))
         self._since_look += samples.time
         if self._since_look >= INDEPENDENT_TIME:
@@ -219,12 +241,17 @@ class Feedback:
         for samples, residual, counted in gathered:
             if samples.restarted:
                 self._past = np.zeros_like(self._past)
+                self._before[:] = samples.f[0, INPUT_COLUMNS]
             keep = np.exp(-samples.dt / ANSWER_TIMES)[:, None]
-            last = first + len(residual)
-            signals[first:last, self._answers :] = samples.f[:, INPUT_COLUMNS]
+            last, self._interval = first + len(residual), samples.dt
+            inputs = samples.f[:, INPUT_COLUMNS]
+            signals[first:last, self._inputs] = inputs
+            signals[first:last, self._gusts] = residual
             for k in range(first, last):
                 signals[k, : self._past.size] = self._past.ravel()
+                signals[k, self._gusts.stop :] = self._before.ravel()
                 self._past = keep * self._past + residual[k - first]
+                self._before = np.vstack((inputs[k - first], self._before[:-1]))
             fade = np.exp(-counted * len(residual) / LONG_MEMORY)
             self._products *= fade
             weight[:first] *= fade
@@ -240,15 +267,50 @@ class Feedback:
         matrix = covariance[: n - 1, : n - 1].copy()
         power = diagonal(matrix)
         power += ROUNDING * power + TINY
-        across = covariance[: n - 1, n:]
+        across = covariance[: n - 1, self._inputs]
         explained = np.einsum("ji,ji->i", across, np.linalg.solve(matrix, across))
-        variance = np.diag(covariance)[n:]
+        variance = np.diag(covariance)[self._inputs]
         moved = variance > TINY
         share = np.divide(explained, variance, out=np.zeros(len(INPUTS)), where=moved)
         # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
         chance = (n - 1) * GUST_TIME / time
-        sure = share > chance * (1.0 + SURE * np.sqrt(2.0 / (n - 1)))
+        surely = 1.0 + SURE * np.sqrt(2.0 / (n - 1))
+        sure = share > chance * surely
+        asked = np.flatnonzero(sure & self._stronger(covariance, share - chance))
+        foretold = [self._foretold(covariance, i) for i in asked.tolist()]
+        sure[asked] = np.array(foretold) > (n - 1) * self._interval / time * surely
         self._set_share(np.maximum(share - chance, 0.0), sure)
+
+    def _stronger(self, covariance: FloatArray, share: FloatArray) -> BoolArray:
+        """Whether such shares of the inputs, (4,), do more than the gusts of their plane of motion.
+
+        So does the throttle, which no rate loop moves, and which has no row of its own.
+        """
+        variance = np.diag(covariance)
+        gusts, inputs = variance[self._gusts].copy(), variance[self._inputs]
+        gusts[[0, 2]] = gusts[0] + gusts[2]  # roll and yaw
+        stronger = np.ones(len(INPUTS), dtype=bool)
+        moves = self._effect**2 * (share * inputs)[_MAIN_PLACES]
+        stronger[_MAIN_PLACES] = moves > gusts
+        return stronger
+
+    def _foretold(self, covariance: FloatArray, i: int) -> float:
+        """Return the share of what is new in an input that past residuals foretell.
+
+        New is what its own past does not foretell.
+        """
+        at, past = self._inputs.start + i, np.arange(self._past.size)
+        own = self._gusts.stop + i + len(INPUTS) * np.arange(ORDER)
+        new, left = (_left(covariance, at, by) for by in (own, np.append(own, past)))
+        return 1.0 - left / new if new > TINY else 0.0
+
+
+def _left(covariance: FloatArray, at: int, by: NDArray[np.intp]) -> float:
+    """Variance of a signal that others leave unexplained."""
+    matrix, across = covariance[np.ix_(by, by)], covariance[by, at]
+    power = diagonal(matrix)
+    power += ROUNDING * power + TINY
+    return float(covariance[at, at] - across @ np.linalg.solve(matrix, across))
 
 
 # --- confirmation ---------------------------------------------------------------------------------
@@ -284,6 +346,9 @@ class Confirmation:
         self._odds = [0.0] * len(ROWS)
         self._now = 0.0  # Time since the start, s
         self._recent = [0.0] * len(ROWS)  # Evidence of the last `INDEPENDENT_TIME`
+        # Squared residuals of that time, times dt: as they are, and if the inputs did nothing
+        self._left: FloatArray = np.zeros((2, len(ROWS)))
+        self._left_time = 0.0
         self._moved = [-math.inf] * len(ROWS)  # When that was last enough by itself, s
         # When a turn of the surface began, and how long it had rested before, s
         self._turns: list[deque[tuple[float, float]]] = [deque() for _ in ROWS]
@@ -310,12 +375,18 @@ class Confirmation:
         max_age : float
             Time in which what was confirmed fades while the input does not move, s; 0 for never.
         """
-        # Squared residual if the input did nothing, less the squared residual as it is.
-        gain = np.add.reduce(effect * (2.0 * white.residual[: len(ROWS)] + effect), axis=1)
+        residual = white.residual[: len(ROWS)]
+        # squared residuals as they are, and if the input did nothing
+        left = np.add.reduce(np.square((residual, residual + effect)), axis=2)
         time = effect.shape[1] * white.dt
         self.fade(time, max_age)
         keep = math.exp(-time / INDEPENDENT_TIME)
-        for i, (more, spread) in enumerate(zip(gain.tolist(), variance.tolist(), strict=False)):
+        self._left = keep * self._left + left * white.dt
+        self._left_time = keep * self._left_time + time
+        # What the better of both leaves is noise, too, where it is more than usual.
+        noise = np.maximum(variance[: len(ROWS)], self._left.min(axis=0) / self._left_time)
+        gain = left[1] - left[0]
+        for i, (more, spread) in enumerate(zip(gain.tolist(), noise.tolist(), strict=True)):
             evidence = 0.5 * more / max(spread, NO_VARIANCE)
             self._odds[i] = _bounded(self._odds[i] + evidence)
             self._recent[i] = _bounded(keep * self._recent[i] + evidence)

@@ -87,7 +87,7 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
         rates,
         READERS,
         hovers=lambda commands: firmware == "Copter" or commands.source == "RATE",
-        explained=_explained,
+        explained=_of_surfaces if firmware == "Plane" else _explained,
     )
 
 
@@ -133,9 +133,21 @@ def _explained(it: Import, usable: Usable) -> Usable:
     motors = bool(functions & set(MOTORS)) and _frame(it.log) in FRAMES
     others = {name: m for name, m in usable.items() if name != "RCOU"}
     if not others or "RCOU" not in usable or motors or functions & {*SURFACES, *THROTTLES}:
-        return usable
+        return dict(usable)
     it.findings.doubt(f"RCOU is passed over: {it.table['unexplained']}")
     return others
+
+
+def _of_surfaces(it: Import, usable: Usable) -> Usable:
+    """Return the messages of a Plane that say what they move; not a QuadPlane's, of its hover."""
+    explained = _explained(it, usable)
+    if len(explained) > 1 and "RATE" in explained:
+        del explained["RATE"]
+        it.findings.assume(
+            "a QuadPlane in forward flight: RATE, what is asked of its lift motors, is passed over "
+            "(--actuators-topic RATE for its hover)"
+        )
+    return explained
 
 
 def _frame(log: Log) -> tuple[int, int]:

@@ -85,6 +85,7 @@ class Import:
     table: Mapping[Any, Any]  # What this autopilot's messages and parameters mean
     choice: Choice  # What to take in place of the best
     flown: Stretches | None = None  # Stretches in the air, or armed; None if it does not say
+    asked: int = 0  # Bits of the logging parameter that the user is asked to set
 
     @property
     def findings(self) -> Findings:
@@ -180,12 +181,15 @@ class Import:
         option = next((o for o in self.table["logging"]["options"] if name in o["messages"]), None)
         if option is None:
             return f" ({parameter})"
+        instead = option.get("in place of", {}).get(name)
+        tail = f", which logs {instead} in its place" if instead else ""
         if parameter not in self.log.parameters:
-            return f" ({parameter}: switch on bit {option['bit']}, '{option['name']}')"
+            return f" ({parameter}: switch on bit {option['bit']}, '{option['name']}'){tail}"
         value = int(self.log.parameters[parameter])
         if value >> option["bit"] & 1:
-            return f" ({parameter} {value}, although it has '{option['name']}')"
-        return f" ({parameter} {value}: make it {value | 1 << option['bit']}, '{option['name']}')"
+            return f" ({parameter} {value}, although it has '{option['name']}'){tail}"
+        self.asked |= 1 << option["bit"]  # with what was asked for before
+        return f" ({parameter} {value}: make it {value | self.asked}, '{option['name']}'){tail}"
 
     def _note(self, kind: str, name: str) -> Mapping[str, Any]:
         """Say what the table has to say of messages that are read; return all that it has."""

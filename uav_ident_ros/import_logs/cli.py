@@ -23,7 +23,7 @@ from uav_ident_ros.import_logs.flight_log import (
     printable,
 )
 from uav_ident_ros.import_logs.px4 import read_px4
-from uav_ident_ros.import_logs.stamps import describe, doubts
+from uav_ident_ros.import_logs.stamps import describe, doubts, gaps_in_words, pauses
 
 DAMAGED = 1
 """Exit status if a part of the log could not be read."""
@@ -36,6 +36,9 @@ READERS = {
 """Readers by the first bytes of a log."""
 
 WIDTH = 100
+
+CHANGES = "mode"
+"""The stream that comes with each change, and has no rate."""
 
 FIRST_BYTES = 400
 """Enough for the header line of a table, too."""
@@ -187,9 +190,13 @@ def _first_bytes(path: Path) -> bytes:
 
 def _note_streams(log: FlightLog) -> None:
     """Add to the findings what the stamps tell."""
-    for name, stream in log.streams.items():
-        log.findings.note(f"{name}: {describe(stream.t_ns)}")
-        log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(stream.t_ns)]
+    sampled = {name: stream.t_ns for name, stream in log.streams.items() if name != CHANGES}
+    paused, limit_ns = pauses(list(sampled.values()))
+    words = gaps_in_words(paused, limit_ns)
+    log.findings.lost += [f"nothing was logged: {word}" for word in words]
+    for name, t_ns in sampled.items():
+        log.findings.note(f"{name}: {describe(t_ns)}")
+        log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(t_ns, paused)]
     values = log.streams["actuators"].values[:, [column for column, _ in log.used]]
     if without := int((~np.isfinite(values)).any(axis=1).sum()):
         log.findings.doubt(

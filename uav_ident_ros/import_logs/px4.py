@@ -291,21 +291,30 @@ def _outputs(it: Import, topic: Messages) -> Actuators:
     values = topic.array("output")
     count = min(int(np.max(topic.columns["noutputs"])) or MOST_PINS, values.shape[1])
     servos: dict[int, Channel] = {}
+    # The range of all pins: of a group of pins (v1.12), of all (before), of none (from v1.13 on)
+    usual = {
+        end: log.parameter(f"{prefix}_{end}", log.parameter(f"PWM_{end}", width))
+        for end, width in (("MIN", PWM_MIN), ("MAX", PWM_MAX))
+    }
     if any(functions):
         known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
         servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
-        low, high, said = PWM_MIN, PWM_MAX, f"{prefix}_FUNC{{}} {{}}"
+        said = f"{prefix}_FUNC{{}} {{}}"
         log.findings.assume(f"instance {instance} of actuator_outputs are the pins {prefix}")
     elif log.parameters.get("MAV_TYPE") == QUADROTOR:
         arms = enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
         known = {i: Channel(f"motor_{i}", effect, "") for i, effect in arms}
         functions, said = [*range(1, MOST_PINS + 1)], "output of quad x"
-        low, high = log.parameter("PWM_MIN", PWM_MIN), log.parameter("PWM_MAX", PWM_MAX)
         log.findings.assume(
             "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear "
             "right) on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
         )
-        log.findings.note(f"pulse widths from {low:g} to {high:g} us (PWM_MIN, PWM_MAX)")
+        names = [
+            next((name for name in (f"{prefix}_{end}", f"PWM_{end}") if name in log.parameters), "")
+            for end in usual
+        ]
+        by = f" ({', '.join(names)})" if all(names) else ""
+        log.findings.note(f"pulse widths from {usual['MIN']:g} to {usual['MAX']:g} us{by}")
     else:
         raise log.refusal(
             f": no parameter {prefix}_FUNCn says what the actuator_outputs move; "
@@ -316,10 +325,12 @@ def _outputs(it: Import, topic: Messages) -> Actuators:
         channel = Channel(f"output_{pin}", NO_EFFECT, said.format(pin, function), unit="us")
         if (moved := (known | servos).get(function)) is not None:
             channel = replace(channel, name=moved.name, effect=moved.effect)
-            ends = [log.parameter(f"{prefix}_{end}{pin}", usual)
-                    for end, usual in (("MIN", low), ("MAX", high))]  # fmt: skip
+            # -1: as of all pins
+            own = {end: log.parameter(f"{prefix}_{end}{pin}", -1.0) for end in usual}
+            ends = [width if width >= 0.0 else usual[end] for end, width in own.items()]
             centre = sum(ends) / 2.0 if function in servos else None
-            turned = bool(int(log.parameter(f"{prefix}_REV")) >> (pin - 1) & 1)
+            bit = int(log.parameter(f"{prefix}_REV")) >> (pin - 1) & 1
+            turned = bool(bit or log.parameter(f"{prefix}_REV{pin}"))
             channel = over_range(channel, *ends, centre=centre, turned=turned)
         channels.append(channel)
     return Stream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)

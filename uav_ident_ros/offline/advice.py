@@ -114,20 +114,42 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
     """Name the surfaces that moved too little to know what they do."""
     needed = e.settings.supervision.min_t_ratio
     for name, derivative in MAIN_DERIVATIVES.items():
-        word, ratio = INPUT_WORDS[name], e.t_ratio(derivative)
+        word, ratio = INPUT_WORDS[name], e.t_ratio(derivative, setup=False)
         if e.input_spread[INPUTS.index(name)] < STILL:
             yield f"the {word} never moved: its effect is unknown; move it"
         elif ratio is not None and ratio < needed:
+            answers = float(e.answers[INPUTS.index(name)])
+            cure = f"; move the {word} more, and by itself"
+            if answers > 0.0:
+                cure = (
+                    f", since {100.0 * answers:.0f} % of its motion answers disturbances; move the "
+                    f"{word} by itself, whatever the aircraft does: {EXCITING_MODES}"
+                )
             yield (
                 f"not enough {word} excitation: {derivative} is known to {ratio:.1f} sigma only "
-                f"({needed:g} needed); move the {word} more, and by itself"
+                f"({needed:g} needed){cure}"
             )
+
+
+def wrong_setup(e: Evidence) -> Iterator[str]:
+    """Name the settings that widen sigma, but for a delay, of which the next piece tells."""
+    told = e.delay.contradiction(e.delay_in_use)
+    yield from dict.fromkeys(reason for reason in e.setup if reason and reason != told)
 
 
 def wrong_delay(e: Evidence) -> Iterator[str]:
     """Say that the flight shows another delay than the one in use."""
     off = e.delay.off(e.delay_in_use)
     if abs(off) <= DELAY_OFF or e.delay.lag_off(e.lag_in_use):
+        return
+    if e.delay.delay < 0.0:
+        held = 0.5 / e.actuator_rate if 0.0 < e.actuator_rate < SLOW_ACTUATORS else 0.0
+        seldom = f"; at {e.actuator_rate:.0f} Hz they are held {1e3 * held:.0f} ms too long"
+        yield (
+            f"the inputs act {-1e3 * e.delay.delay:.0f} ms before their stamps "
+            f"({e.delay_in_use:.3f} s of delay in use): correct the stamps, or lower "
+            f"'actuators.time_constant'{seldom if held else ''}"
+        )
         return
     if off > 0.0:
         found = f"the command seems to lead by {1e3 * off:.0f} ms"
@@ -169,6 +191,8 @@ def unknown_delay(e: Evidence) -> Iterator[str]:
             if math.isfinite(e.delay.sigma)
             else "no estimate"
         )
+        if e.delay.delay < -DELAY_SIGMAS * e.delay.sigma:
+            found += ": they seem to follow the motion, as an autopilot's answers do, or are late"
         yield (
             f"the flight does not show the delay of the inputs ({found}; {e.delay_in_use:.3f} s in "
             "use), and a wrong one falsifies every control derivative: step the surfaces without "
@@ -204,7 +228,12 @@ def leans_on_force(e: Evidence) -> Iterator[str]:
 
 
 def noisy_gyro(e: Evidence) -> Iterator[str]:
-    """Say where the gyro's noise is high by itself, or beside the rates that were flown."""
+    """Say where the gyro's noise is high by itself, or beside the rates that were flown.
+
+    Where the rates come seldom, what changes from sample to sample is motion.
+    """
+    if 0.0 < e.imu_rate < SLOW_IMU:
+        return
     for axis, noise, spread in zip(AXES, e.gyro_noise, e.rate_spread, strict=True):
         if noise > LARGEST_NOISE:
             yield (
@@ -220,15 +249,16 @@ def noisy_gyro(e: Evidence) -> Iterator[str]:
 
 def slow_streams(e: Evidence) -> Iterator[str]:
     """Name the messages that come too seldom."""
-    for word, rate, needed in (
-        ("Imu", e.imu_rate, SLOW_IMU),
-        ("actuators", e.actuator_rate, SLOW_ACTUATORS),
-    ):
-        if 0.0 < rate < needed:
-            yield (
-                f"the messages of the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz are "
-                f"needed ({FAST_LOGS})"
-            )
+    slow = [
+        f"of the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz are needed"
+        for word, rate, needed in (
+            ("Imu", e.imu_rate, SLOW_IMU),
+            ("actuators", e.actuator_rate, SLOW_ACTUATORS),
+        )
+        if 0.0 < rate < needed
+    ]
+    if slow:
+        yield f"the messages {', those '.join(slow)} ({FAST_LOGS})"
 
 
 def many_drops(e: Evidence) -> Iterator[str]:
@@ -293,6 +323,7 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     slow_streams,
     gated,
     weak_excitation,
+    wrong_setup,
     wrong_delay,
     wrong_lag,
     unknown_delay,

@@ -64,16 +64,25 @@ class Evidence:
     lost: Mapping[str, float] = field(default_factory=dict)
     # Settings that go with those reasons
     gate_settings: Mapping[str, str] = field(default_factory=dict)
+    # (3, n) Standard deviations without what settings that are off add, and those settings, by row
+    scatter: FloatArray | None = None
+    setup: tuple[str, ...] = ()
+    # (4,) Share of each input's motion that is surely an answer to disturbances
+    answers: FloatArray = field(default_factory=lambda: np.zeros(len(INPUTS)))
     # What became of the messages of each stream
     streams: Mapping[str, Refusals] = field(default_factory=dict)
 
-    def t_ratio(self, name: str) -> float | None:
-        """Magnitude of a coefficient in sigmas; None if it is fixed or not of the structure."""
+    def t_ratio(self, name: str, *, setup: bool = True) -> float | None:
+        """Magnitude of a coefficient in sigmas; None if it is fixed or not of the structure.
+
+        Without `setup`, what settings that are off add to sigma does not count.
+        """
         if name not in self.structure.names:
             return None
         index = self.structure.index(name)
-        sigma = float(self.sigma[index])
-        return abs(float(self.values[index])) / sigma if sigma > 0.0 else None
+        sigma = self.sigma if setup or self.scatter is None else self.scatter
+        spread = float(sigma[index])
+        return abs(float(self.values[index])) / spread if spread > 0.0 else None
 
 
 def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
@@ -105,6 +114,9 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
             _NUMBER.sub("…", cost.reason): cost.setting
             for cost in identifier.supervisor.gates.costs().values()
         },
+        scatter=identifier.estimator.sigma.copy(),
+        setup=tuple(identifier.setup_doubts),
+        answers=identifier.estimator.answers.copy(),
         streams={name: run.refusals(name) for name in identifier.intake.drops},
     )
 

@@ -159,6 +159,7 @@ class Replayed:
                 "usable": not self.doubt,
                 "doubt": self.doubt,
                 "usable_rows": dict(zip(ROWS, run.judged.usable_rows, strict=True)),
+                "usable_share": dict(zip(ROWS, run.estimates.usable_share(), strict=True)),
                 "gates": {
                     name: cost._asdict()
                     for name, cost in identifier.supervisor.gates.costs().items()

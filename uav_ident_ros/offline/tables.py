@@ -203,6 +203,10 @@ def _verdict(summary: Mapping[str, Any]) -> Iterator[str]:
     if summary["judged_ns"] < summary["last_tick_ns"]:
         seconds = (summary["judged_ns"] - summary["first_tick_ns"]) * NS
         yield f"as of {seconds:.1f} s: nothing was learned after"
+    shares = summary["usable_share"].items()
+    if doubt and any(share for _, share in shares):
+        flown = ", ".join(f"{row} {100.0 * share:.0f} %" for row, share in shares)
+        yield f"usable in the course of the flight: {flown} of the ticks"
     remarks = [("note", text) for text in summary["notes"]]
     remarks += [("advice", advice["text"]) for advice in summary["advice"]]
     for word, text in remarks:

@@ -47,6 +47,11 @@ KEPT = np.exp(-LOOK_TIME / MEMORY)
 """Share of the usual size that is kept from look to look."""
 
 
+ACQUITTED = 0.5 * SURE
+"""Standard deviations below which what seemed to change does not any more: between the two no look
+is new."""
+
+
 class Change(NamedTuple):
     """A coefficient that has changed."""
 
@@ -65,6 +70,12 @@ class ChangeDetector:
         Coefficients that move.
     cutoff : float
         Of the regression's filter, rad/s.
+
+    Attributes
+    ----------
+    seeming : (3, 4) array
+        By how much control derivatives seem to have changed where noise hides whether they have;
+        0 where they do not.
     """
 
     def __init__(self, free: BoolArray, cutoff: float) -> None:
@@ -82,6 +93,9 @@ class ChangeDetector:
         self._energy = self._power = np.zeros(len(self._row))
         # Of the looks of the last `WINDOW_TIME`: energy, power, and what was known
         self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
+        self.seeming: FloatArray = np.zeros((3, len(INPUTS)))
+        # Usual size of each when it began to seem changed; infinite if it does not
+        self._usual_before = np.full(len(self._row), np.inf)
 
     def restart(self) -> None:
         """Forget the window: what comes does not continue it."""
@@ -123,9 +137,10 @@ class ChangeDetector:
         window = Regression(signals, newest.rows, newest.dt)
         residual = _whitened(window.residual(coefficients)[:, :3], window.dt)
         regressors = _whitened(window.f[:, self._column], window.dt)
-        size, power, explained = _fitted(regressors, residual[:, self._row])
+        size, power, explained, noise = _fitted(regressors, residual[:, self._row])
         known = np.abs(coefficients[self._row, self._column])
-        sigma = sigma[self._row, self._column - INPUT_COLUMNS.start]
+        places = self._row, self._column - INPUT_COLUMNS.start
+        sigma = sigma[places]
         self._newest.append((size * size * power, power, sigma))
         unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
         usual = self._usual()
@@ -137,6 +152,10 @@ class ChangeDetector:
         left = np.maximum(1.0 - explained, ROUNDING)
         rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
         owed = len(residual) * np.log(left / rivals) > OUTLYING
+        # The slope along an input that hardly moves tells nothing.
+        tells = noise < np.hypot(unsure, usual)
+        seeming = self._seeming(np.abs(size), unsure, np.maximum(usual, noise), sure & ~owed)
+        self.seeming[places] = np.where(tells, seeming, self.seeming[places])
         explained = np.where(sure & ~owed, explained, 0.0)
         changes = []
         # More than all else together: what an autopilot answers to a storm explains up to 0.4.
@@ -148,9 +167,25 @@ class ChangeDetector:
                 column, by, first = CONSTANT_COLUMN, step, passed
             after = Regression(signals[first:], window.rows, window.dt)
             changes.append(Change(row, int(column), float(by), after))
+            self.seeming[row] = 0.0
+            self._usual_before[self._row == row] = np.inf
         if changes:
             self.restart()  # to the new coefficients, the change is in what came before it
         return changes
+
+    def _seeming(
+        self, size: FloatArray, unsure: FloatArray, usual: FloatArray, sure: BoolArray
+    ) -> FloatArray:
+        """Return by how much each seems to have changed, 0 if it does not.
+
+        It does until its slope is no more than what was usual before: a change that lasts becomes
+        usual itself.
+        """
+        sure = sure & (size > SURE * np.hypot(unsure, usual))
+        before = np.minimum(self._usual_before, np.where(sure, usual, np.inf))
+        still = size > ACQUITTED * np.hypot(unsure, before)
+        self._usual_before = np.where(still, before, np.inf)
+        return np.where(still, size, 0.0)
 
     def _usual(self) -> FloatArray:
         """Return the usual size of what seems to change, rms: model errors come and go.
@@ -174,7 +209,7 @@ class ChangeDetector:
         since = np.maximum(np.arange(count)[:, None] - np.arange(1, count) + 0.5, 0.0)
         phase = self._cutoff * dt * since / np.sqrt(2.0)
         steps = 1.0 - np.exp(-phase) * (np.cos(phase) + np.sin(phase))
-        size, _, explained = _fitted(_whitened(steps, dt), residual[:, None])
+        size, _, explained, _ = _fitted(_whitened(steps, dt), residual[:, None])
         best = int(explained.argmax())
         passed = best + 1 + round(PASSED / (self._cutoff * dt))
         return float(explained[best]), float(size[best]), min(passed, count - 1)
@@ -186,13 +221,20 @@ def _whitened(signals: FloatArray, dt: float) -> FloatArray:
 
 
 def _fitted(regressors: FloatArray, residual: FloatArray) -> tuple[FloatArray, ...]:
-    """Return slope, power of the regressor, and share explained, of residuals each by its own."""
+    """Return slope, power of the regressor, share explained, and standard error of the slope.
+
+    Residuals each by its own regressor, (m, k).
+    """
     u = regressors - np.add.reduce(regressors) / len(regressors)
     e = residual - np.add.reduce(residual) / len(residual)
     power, product = np.add.reduce(u * u), np.add.reduce(u * e)
     power[power < POWERLESS] = 0.0  # a constant input has no slope
-    slope = _ratio(product, power)
-    return slope, power, _ratio(slope * product, np.add.reduce(e * e))
+    slope, energy = _ratio(product, power), np.add.reduce(e * e)
+    left = np.maximum(energy - slope * product, 0.0)
+    error = np.sqrt(
+        np.divide(left / len(e), power, out=np.full_like(left, np.inf), where=power > 0)
+    )
+    return slope, power, _ratio(slope * product, energy), error
 
 
 def _ratio(a: FloatArray, b: FloatArray) -> FloatArray:

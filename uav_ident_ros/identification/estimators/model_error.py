@@ -55,7 +55,7 @@ class ModelError:
     ----------
     share : (3,) array
         What is taken away by saturation, lateness or attenuation, whichever is most, relative to
-        what the input does, both in rms; 0 where it is no more than chance.
+        what the input does, both in rms, 1 at most; 0 where it is no more than chance.
     height : float
         Of the accelerometer above where it is said to be, m; 0 where it is no more than chance.
     """
@@ -175,13 +175,13 @@ class ModelError:
         self.height = float(size[len(ROWS) :, 0, 1].sum())
         # saturation, lateness beside it, and attenuation
         taken = found[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
-        self.share = np.maximum(taken, 0.0).max(axis=1)
+        self.share = np.clip(taken, 0.0, 1.0).max(axis=1)
         early = found[: len(ROWS), 0, 1]
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
             found, _ = self._found(newest, (_SATURATION,), self._sure_early, ratio, effect)
             early = found[: len(ROWS), 0, 1]
-        self._early = -early.min(initial=0.0)
+        self._early = min(-early.min(initial=0.0), 1.0)
 
     def _found(
         self,

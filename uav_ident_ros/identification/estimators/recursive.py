@@ -95,6 +95,7 @@ class RecursiveRegression:
         self.clear = self._gate.clear
         self.answers = self._feedback.share
         self.model_error, self.height = self._error.doubt, self._error.height
+        self._effect: FloatArray = np.zeros(len(ROWS))
         self._begin_changes()
         self._solve()
 
@@ -137,7 +138,7 @@ class RecursiveRegression:
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
         else:
-            self._feedback.add(samples, moments, weight)
+            self._feedback.add(samples, moments, weight, self._effect)
             self.answers = self._feedback.share
         # No disturbance is in what is injected.
         answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
@@ -194,7 +195,11 @@ class RecursiveRegression:
             return
         if due:
             self._known = solution, covariance
-            self._since_sigma, self.sigma = 0.0, sigma
+            self._effect = np.abs(solution.values[1][MAIN_DERIVATIVES])  # whitened
+            self._since_sigma, self._settled_sigma = 0.0, sigma
+            self.sigma = sigma.copy()
+            inputs = self.sigma[: len(ROWS), INPUT_COLUMNS]
+            inputs[:] = np.hypot(inputs, self._detector.seeming)
         self._linear = self._layout.matrix(solution.linear[0])
         self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
         self.coefficients = values
@@ -235,7 +240,7 @@ class RecursiveRegression:
         self.changes = []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
-            sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
+            sigma = self._settled_sigma[: len(ROWS), INPUT_COLUMNS]
             for change in self._detector.look(linear, sigma):
                 self.changes.append((change.row, change.column))
                 self._release(change)
