@@ -24,7 +24,7 @@ COPIED = ("uav_ident_ros", "test", "benchmarks", "config", "pyproject.toml")
 
 TESTS: dict[str, tuple[str, ...]] = {
     "gates": ("test_gates.py",),
-    "model": ("test_estimators.py", "test_conditioning.py"),
+    "model": ("test_model.py", "test_estimators.py", "test_conditioning.py"),
     "samples": (
         "test_samples.py",
         "test_sampling.py",
@@ -47,7 +47,8 @@ TESTS: dict[str, tuple[str, ...]] = {
         "test_supervision.py",
         "test_estimators.py",
     ),
-    "identifier": ("test_estimators.py", "test_resume.py"),
+    "settings": ("test_settings.py", "test_injected.py"),
+    "identifier": ("test_model.py", "test_estimators.py", "test_resume.py"),
 }
 """Quick tests of a module, in test/identification, where it is not test_MODULE.py alone."""
 
@@ -166,9 +167,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             copy(ROOT / name, folder / name)
         for module in modules:
             source, tests = (ROOT / path_of(module)).read_text(encoding="utf-8"), tests_of(module)
-            for constant in constants(module):
-                if options.constants and constant not in options.constants:
-                    continue
+            names = [n for n in constants(module) if n in (options.constants or [n])]
+            if names and tests and notices(folder, tests):
+                print(f"{module}: its tests fail before anything is changed: they tell nothing")
+                return 1
+            for constant in names:
                 missed = []
                 for factor in FACTORS:
                     (folder / path_of(module)).write_text(mutated(source, constant, factor))

@@ -166,6 +166,25 @@ def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
     assert worst(errors(a, "throttle_coupled", flight, names)) < 0.05
 
 
+def test_what_was_learned_with_another_delay_counts_for_a_fiftieth() -> None:
+    """Its sigma grows by the root of that and a little, since few seconds have told the scatter.
+
+    The value stays until there are new data: a tick is none.
+    """
+    m = measure(plant_flight(25.0, delay=0.06), NOISY)
+    values = {"actuators__delay": 0.0, "actuators__estimate_delay": True}
+    flown = OnlineIdentifier(
+        settings(m, estimator="least_squares", structure="throttle_coupled", **values)
+    )
+    damping, kept = flown.structure.index("pdot/p"), []
+    for message in messages(m):
+        kept += [(flown.delay > 0.0, e) for e in run(flown, [message])]
+    first = [after for after, _ in kept].index(True)
+    (_, before), (_, after) = kept[first], kept[first + 1]  # forgotten behind the tick
+    assert 7.0 < after.sigma[damping] / before.sigma[damping] < 10.0
+    assert after.coefficients[damping] == pytest.approx(before.coefficients[damping], rel=0.02)
+
+
 def test_the_model_s_own_error_with_the_wrong_delay_is_forgotten() -> None:
     """A rudder that came 0.12 s late by then is known again within twenty seconds."""
     identifier, last = flown_with(0.14, 0.02, seconds=52.0, actuators__estimate_delay=True)
@@ -375,6 +394,31 @@ def test_lags_that_predict_alike_leave_their_sum_with_the_delay_unknown() -> Non
     given = delay.judge(curve(0.11, lag_cost=0.3 * delay.ALIKE), DELAYS)
     assert given.sure and not given.total_sure
     assert given.total_sigma > 0.04
+
+
+def test_a_lag_that_costs_two_points_of_the_fit_has_a_third_of_the_odds() -> None:
+    """Of a fit of 50 %: the squared error is 8 % larger, and larger again for twice the lag."""
+    cost = 2.0 * math.log(0.52 / 0.5)
+    odds = np.exp(-np.arange(len(delay.LAGS)))
+    hidden = math.sqrt(odds @ np.square(delay.LAGS) / odds.sum())
+    assert delay.judge(curve(0.11, cost, noise=0.0), DELAYS).hidden == pytest.approx(
+        hidden, rel=0.1
+    )
+
+
+@pytest.mark.parametrize(("rise", "sure"), [(3.0, False), (7.0, True)])
+def test_a_wrong_delay_is_one_that_is_off_by_75_milliseconds(rise: float, sure: bool) -> None:
+    """That far from the least error it must be clearly larger; a step off it hardly is."""
+    delays = 0.025 * np.arange(-4, 17)
+    distance = delays - 0.15
+    blocks = np.zeros((24, len(delay.LAGS), len(delays), 3))
+    chance = np.random.default_rng(1).normal(size=(24, 1, 1, 1))
+    chance = (chance - chance.mean()) / chance.std() * math.sqrt(23)  # a mean has a sigma of one
+    blocks += (rise + chance) * (distance / 0.075)[:, None] ** 2
+    blocks += 30.0 * np.arange(len(delay.LAGS))[:, None, None]
+    estimate = delay.judge(np.exp(0.1 * blocks), delays)
+    assert estimate.rise == pytest.approx(rise, rel=0.1)
+    assert estimate.sure == sure
 
 
 @pytest.mark.skipif(not REAL_FLIGHT.exists(), reason=f"there is no {REAL_FLIGHT.name}")

@@ -5,8 +5,12 @@ import numpy as np
 import pytest
 from flying import AMPLITUDES, DOMINANT, errors, identified, linear_names, measured, worst
 
+from uav_ident_ros.identification.estimators.information import Information
+from uav_ident_ros.identification.prior import start_from
+from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.rigid_body import product_coefficients
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import CoefficientChange
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.plant import vehicle
@@ -132,6 +136,43 @@ def test_inputs_that_move_together_are_named() -> None:
     assert {("pdot/dr", "pdot/da"), ("rdot/dr", "rdot/da")} <= set(tied.collinear())
     assert not free.collinear()
     assert tied.excitation()[0] < 0.01 < 0.1 < free.excitation()[0] <= 1.0
+
+
+def information_of(f: FloatArray, y: FloatArray) -> Information:
+    """Information of samples of 50 ms, correlated over 0.1 s."""
+    structure, places = STRUCTURES["augmented"], layout(STRUCTURES["augmented"])
+    start = start_from(Settings.from_values({"structure": "augmented"}))
+    information = Information(structure, places, start, 0.1)
+    samples = RowSamples.of(Regression.of(y, f, f, 0.05), y, places)
+    information.add([samples], np.ones(places.rows))
+    return information
+
+
+@pytest.mark.parametrize(("correlation", "named"), [(0.97, False), (0.985, True)])
+def test_inputs_that_correlate_by_more_than_98_percent_are_named(
+    correlation: float, named: bool
+) -> None:
+    """The smaller eigenvalue is what the correlation lacks to one."""
+    structure, chance = STRUCTURES["augmented"], np.random.default_rng(1)
+    f = chance.normal(size=(20_000, structure.size))
+    rudder, aileron = structure.column("dr"), structure.column("da")
+    f[:, rudder] *= np.sqrt(1.0 - correlation**2)
+    f[:, rudder] += correlation * f[:, aileron]
+    found = information_of(f, chance.normal(size=(len(f), 3))).collinear()
+    assert found == [(f"{row}/dr", f"{row}/da") for row in ("pdot", "rdot") if named]
+
+
+def test_the_first_samples_count_as_if_noise_of_a_third_of_a_radian_were_in_them() -> None:
+    """Of the acceleration, in rad/s^2: as much as the prior, the aileron's effect is half known."""
+    structure, start = STRUCTURES["augmented"], start_from(Settings())
+    place, effect = structure.index("pdot/da"), 40.0
+    told = 0.1 * 0.1 / start.sigma[STRUCTURES["flight_dynamics"].index("pdot/da")] ** 2
+    f, y = np.zeros((4, structure.size)), np.zeros((4, 3))
+    f[:, place[1]] = np.sqrt(told / (4 * 0.05))
+    y[:, 0] = effect * f[:, place[1]]
+    information = information_of(f, y)
+    found = information.solve(information.start.values).values[0][place]
+    assert found == pytest.approx(0.5 * effect, rel=0.05)
 
 
 @pytest.mark.parametrize(("forgetting_time", "low", "high"), [(0.0, 0.8, 1.2), (5.0, 1.3, 3.0)])

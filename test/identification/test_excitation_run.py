@@ -19,13 +19,20 @@ from uav_ident_ros.identification.excitation_run import (
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import ExcitationSettings, Settings, SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.identification.waveforms import ProgrammedInput
+from uav_ident_ros.identification.waveforms import ProgrammedInput, multisines
 
 ARMED = "std_msgs/msg/Bool"
 TICK_NS = 50_000_000
 T0_NS = 1_000 * TICK_NS
 STRUCTURE = STRUCTURES["flight_dynamics"]
 SETTINGS = ExcitationSettings(duration=20.0)
+SEED_1 = [
+    [0.3203, -0.8776, -0.6038, -0.4469],
+    [-0.8129, 0.8952, 0.9752, -0.6922],
+    [-0.8094, -0.5241, 0.6269, 0.7846],
+]
+"""Multisines of the seed 1, 0.1 to 2 Hz, at 1, 4 and 7.3 s: as in all flights so far."""
+
 LEVEL = Flying(np.zeros(3), roll=0.0, pitch=0.05, airspeed=20.0)
 
 
@@ -75,6 +82,23 @@ def test_multisines_are_orthogonal_low_in_peak_and_as_large_as_asked_for() -> No
     outside = (frequency < 0.1 - 1e-6) | (frequency > 2.0 + 1e-6)
     assert power[outside].max() < 1e-12 * power.max()
     assert (power[~outside].max(axis=1) > 1e-4 * power.max()).all()  # no harmonic is left out
+
+
+@pytest.mark.parametrize("low", [0.1, 0.3])
+def test_multisines_repeat_after_two_cycles_of_the_lowest_frequency(low: float) -> None:
+    design = ProgrammedInput(ExcitationSettings(band=(low, 2.0), duration=60.0, fade_time=0.0))
+    first, half, whole = (
+        np.array([design.sample(t + later)[:3] for t in np.arange(0.0, 5.0, 0.05)])
+        for later in (0.0, 1.0 / low, 2.0 / low)
+    )
+    np.testing.assert_allclose(whole, first, atol=1e-9)
+    assert (np.abs(half - first).max(axis=0) > 0.1 * np.abs(first).max(axis=0)).all()
+
+
+def test_a_seed_makes_the_signals_that_it_always_made() -> None:
+    """Flights and figures rest on them; other phases of as low a peak would do as well."""
+    signals = multisines(np.array([1.0, 4.0, 7.3]), 4, 20.0, (0.1, 2.0), seed=1)
+    np.testing.assert_allclose(signals, SEED_1, atol=2e-4)
 
 
 def test_multisines_fade_in_and_out() -> None:

@@ -122,6 +122,30 @@ def test_free_fall_does_not_move_the_attitude() -> None:
     assert attitude[-1, 0] == pytest.approx(roll[-1], abs=math.radians(1.0))
 
 
+def pushed(forward: float, seconds: float, scale: float = 1.0) -> FloatArray:
+    """Roll and pitch, level and then pushed forward, m/s^2, which no airspeed tells of."""
+    h = 0.01
+    force = np.tile([0.0, 0.0, -GRAVITY], (round((1.0 + seconds) / h) + 1, 1))
+    force[round(1.0 / h) :, 0] = forward
+    force *= scale
+    return observed(observer(), np.zeros_like(force), force, np.zeros((len(force) - 1, 4)), h)[1]
+
+
+def test_a_push_of_a_second_hardly_tilts_and_a_minute_of_it_does() -> None:
+    """It looks like a pitch of 11 degrees; a third of 1/s of it is believed."""
+    seeming = math.atan2(2.0, GRAVITY)
+    assert 0.2 < pushed(2.0, 1.0)[-1, 1] / seeming < 0.3
+    assert pushed(2.0, 60.0)[-1, 1] == pytest.approx(seeming, rel=0.01)
+
+
+def test_a_catapult_does_not_tilt_and_an_accelerometer_a_fifth_off_is_believed() -> None:
+    """Below 30 % of gravity it tells where down is; a launch at one g more is beyond."""
+    assert np.abs(pushed(0.9 * GRAVITY, 2.0)).max() < math.radians(0.1)
+    for scale in (0.8, 1.2):
+        seeming = math.atan2(1.0, GRAVITY)
+        assert pushed(1.0, 60.0, scale)[-1, 1] == pytest.approx(seeming, rel=0.05)
+
+
 # --- flow angles --------------------------------------------------------------------------------
 
 

@@ -379,12 +379,14 @@ TOO_QUIET = "too quiet: no rate moves beyond the gyro's noise"
         (0.0, 0.003, None, AT_REST),
         (0.004, 0.0005, None, AT_REST),
         (0.02, 0.015, None, AT_REST),
+        (0.008, 0.0001, None, AT_REST),
+        (0.02, 0.0001, None, ""),
         (0.0, 0.0, None, AT_REST),
         (0.0, 0.0, 6.0, AT_REST),
         (0.0, 0.0, 7.0, TOO_QUIET),  # a third of the reference, 20 m/s, is flight
     ],
     ids=["a large aircraft", "on the ground", "rocked by the wind", "lost in the noise",
-         "no noise", "taxiing", "flying"],
+         "rocked more", "smoothest flight", "no noise", "taxiing", "flying"],
 )  # fmt: skip
 def test_rest_is_told_by_the_gyros_own_noise_and_by_the_airspeed(
     swing: float, noise: float, airspeed: float | None, said: str

@@ -15,7 +15,7 @@ from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.samples import EXCITATION, Drop
 from uav_ident_ros.identification.sampling import Block, Sampler, join
-from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
+from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
@@ -26,7 +26,7 @@ from uav_ident_ros.identification.structure import (
 
 RATES_NS = np.arange(0, 4000, 10) * MS
 INPUTS_NS = np.arange(0, 4000, 20) * MS
-TIMEOUT_NS = round(EXCITATION_TIMEOUT * 1e9)
+TIMEOUT_NS = 250 * MS  # docs/excitation.md, for controllers
 
 
 def inject(target: Sampler, stamps: FloatArray, values: FloatArray) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from equations import AIRCRAFT, flown, matrix
 
+from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.model import (
     LARGEST_ANGLE,
     IdentifiedModel,
@@ -75,6 +76,35 @@ def test_a_model_that_diverges_is_set_back_to_what_was_measured(name: str) -> No
     np.testing.assert_array_equal(states, block.state)
     beyond = block.state
     assert np.abs(beyond[:, 3:5]).max() < LARGEST_ANGLE
+
+
+@pytest.mark.parametrize(("rate", "resets"), [(25.0, False), (-35.0, True)])
+def test_no_aircraft_turns_faster_than_30_radians_a_second(rate: float, resets: bool) -> None:
+    """A model that does has diverged; one that spins or rolls fast goes on."""
+    structure, h, m = STRUCTURES["augmented"], 0.005, 40
+    x = np.tile([rate, 0.0, 0.0], (m + 1, 1))
+    t_ns = np.arange(m + 1) * 5_000_000
+    block = Block(t_ns, h, x, np.zeros((m, 4)), np.zeros((m + 1, 3)), True)
+    model = IdentifiedModel(structure, np.zeros(3))
+    states = model.run(np.zeros(structure.mask.shape), block)
+    np.testing.assert_allclose(states, x)
+    assert (model.resets > 0) == resets
+
+
+def test_at_the_start_the_model_follows_what_is_measured_within_half_a_second() -> None:
+    """Of a step of the rates that no coefficient explains, 1/e is left then, not e^-0.1."""
+    identifier = OnlineIdentifier(Settings.from_values({"structure": "augmented"}))
+    identifier.supervisor.adapt = False
+    step, predicted = 2.0, {}
+    for k in range(800):
+        t = 0.005 * k
+        t_ns = 10**9 + 5_000_000 * k
+        identifier.add_rates(t_ns, (0.2 * (t >= step), 0.0, 0.0), (0.0, 0.0, -9.8))
+        if k % 4 == 0:
+            identifier.add_actuators(t_ns, (0.0,) * 4)
+        predicted.update({e.t_ns * 1e-9 - 1.0: e.predicted_rates[0] for e in identifier.advance()})
+    (left,) = [0.2 - p for t, p in predicted.items() if abs(t - step - 0.5) < 0.02]
+    assert left == pytest.approx(0.2 / np.e, rel=0.1)
 
 
 def test_a_force_row_of_nothing_leaves_no_moment_of_its_angle() -> None:

@@ -128,6 +128,27 @@ def test_the_rate_is_found_and_every_sample_lies_on_the_grid(rate: int) -> None:
     np.testing.assert_allclose(on_grid, rates[first : first + len(on_grid), 0], atol=1e-4)
 
 
+def test_the_rate_is_that_of_a_link_which_loses_every_other_sample_at_first() -> None:
+    target = sampler()
+    add_rates(target, [*range(0, 160 * MS, 20 * MS), *range(160 * MS, 1000 * MS, 10 * MS)])
+    add_inputs(target, range(0, 1000 * MS, 20 * MS))
+    assert next(blocks(target, 1000 * MS)).h == pytest.approx(0.01)
+
+
+def test_an_imu_of_20_hz_is_used_after_a_second() -> None:
+    target = sampler()
+    add_rates(target, range(0, 3000 * MS, 50 * MS))
+    add_inputs(target, range(0, 3000 * MS, 20 * MS))
+    assert next(blocks(target, 3000 * MS)).t_ns[-1] <= 1100 * MS
+
+
+def test_an_imu_beyond_1_khz_is_followed_at_that() -> None:
+    target = sampler()
+    add_rates(target, range(0, 1000 * MS, MS // 2))
+    add_inputs(target, range(0, 1000 * MS, 20 * MS))
+    assert next(blocks(target, 1000 * MS)).h == pytest.approx(0.001)
+
+
 # -- gaps and stale inputs ---------------------------------------------------------------------
 
 
@@ -161,6 +182,17 @@ def test_inputs_at_no_steady_rate_are_held_until_the_timeout() -> None:
     got = list(blocks(target, 6000 * MS))
     assert [block.restarted for block in got] == [True] + [False] * (len(got) - 1)
     assert got[-1].t_ns[-1] == (int(stamps[stamps < 4000][-1]) + 400) * MS
+
+
+@pytest.mark.parametrize(("lost_ms", "restarts"), [(90, 0), (150, 1)])
+def test_quick_inputs_are_held_for_a_tenth_of_a_second(lost_ms: int, restarts: int) -> None:
+    """Five intervals of 10 ms are less: a few lost messages are no reason to begin anew."""
+    target = sampler()
+    add_rates(target, range(0, 3000 * MS, 5 * MS))
+    add_inputs(target, range(0, 1010 * MS, 10 * MS))
+    add_inputs(target, range((1000 + lost_ms) * MS, 3000 * MS, 10 * MS))
+    got = list(blocks(target, 3000 * MS))
+    assert sum(block.restarted for block in got) == 1 + restarts
 
 
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
@@ -203,6 +235,20 @@ def test_without_inputs_or_with_stale_ones_to_learn_from_no_block_is_made(
     add_inputs(target, inputs)
     assert list(blocks(target, 3000 * MS)) == []
     assert missing in target.waiting_for
+
+
+@pytest.mark.parametrize(("turning", "sway", "steady"), [
+    (0.08, 0.0, True), (0.0, 0.08, True), (-0.12, 0.0, False), (0.0, 0.12, False),
+])  # fmt: skip
+def test_a_slow_turn_and_light_gusts_are_steady_flight(
+    turning: float, sway: float, steady: bool
+) -> None:
+    target = sampler(actuators__learn_trim_time=2.0)
+    t = np.arange(0, 3000, 5)
+    rates = turning + sway * np.sqrt(2.0) * np.sin(2.0 * np.pi * 2e-3 * t)
+    add_rates(target, t * MS, rates[:, None] * np.ones(3))
+    add_inputs(target, range(0, 3000 * MS, 20 * MS), 0.3)
+    assert any(blocks(target, 3000 * MS)) == steady
 
 
 def test_trim_is_learned_in_steady_flight_only() -> None:

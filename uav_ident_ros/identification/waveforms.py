@@ -22,7 +22,8 @@ PEAK_SAMPLES_PER_CYCLE = 32
 """Samples per cycle of the highest harmonic when the peak of a multisine is measured."""
 
 CLIPPING_ITERATIONS = 300
-"""Enough for the peak factor to settle (it changes by less than 1 % from 150 to 300)."""
+"""Steps of the peak optimisation: half as many leave the peak up to 5 % higher, twice as many bring
+it down by 4 % at most (27 multisines of three bands)."""
 
 CLIPPING_RESTARTS = 6
 """Random starts of the peak optimisation, of which the best is kept."""
