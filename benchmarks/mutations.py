@@ -20,7 +20,7 @@ import bench
 from bench import ROOT
 
 CORE = Path("uav_ident_ros") / "identification"
-COPIED = ("uav_ident_ros", "test", "benchmarks", "config", "pyproject.toml")
+COPIED = ("uav_ident_ros", "test", "benchmarks", "scripts", "config", "pyproject.toml")
 
 TESTS: dict[str, tuple[str, ...]] = {
     "gates": ("test_gates.py",),

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples are used in the order of their stamps, and one outlying stamp is no new time base."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -109,6 +111,35 @@ def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
         assert identifier.add_airspeed(t_ns, 20.0) is Drop.BEYOND_STAMP
         assert identifier.add_armed(t_ns, True) is Drop.BEYOND_STAMP
     assert identifier.intake.due is None
+
+
+@pytest.mark.parametrize(
+    ("stream", "real", "beyond"),
+    [
+        ("rates", 4000.0 * math.pi / 180.0, 7000.0 * math.pi / 180.0),  # full scale of a gyro
+        ("force", 90.0 * 9.80665, 120.0 * 9.80665),  # of an accelerometer for shocks
+        ("airspeed", 900.0, 1200.0),
+        ("actuators", 70_000.0, 120_000.0),  # 1/min of a small motor
+        ("excitation", 70_000.0, 120_000.0),
+    ],
+)
+def test_what_a_sensor_or_a_motor_can_say_is_taken_and_what_none_can_is_not(
+    stream: str, real: float, beyond: float
+) -> None:
+    def verdict(value: float) -> Drop | None:
+        identifier = OnlineIdentifier(Settings())
+        t_ns, none = 10 * S, (0.0, 0.0, 0.0)
+        if stream in ("rates", "force"):
+            own = (0.0, -value, 0.0)
+            rates, force = (own, none) if stream == "rates" else (none, own)
+            return identifier.add_rates(t_ns, rates, force)
+        identifier.add_rates(t_ns, none, none)
+        if stream == "airspeed":
+            return identifier.add_airspeed(t_ns, value)
+        return getattr(identifier, f"add_{stream}")(t_ns, (0.0, 0.0, 0.0, value))
+
+    assert verdict(real) is None
+    assert verdict(beyond) is Drop.IMPLAUSIBLE
 
 
 def test_ticks_end_with_the_last_stamp() -> None:
