@@ -70,6 +70,17 @@ def test_an_aileron_that_saturates_is_found(travel: float) -> None:
     assert found[1:].tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_pulses_of_one_size_cannot_show_how_an_aileron_saturates(seed: int) -> None:
+    """The input and its square are the same then, but for a factor."""
+    rng = np.random.default_rng(seed)
+    u = 0.05 * np.tile(np.repeat([1.0, -1.0, 1.0, -1.0, 0.0], [30, 20, 10, 10, 50]), 10)
+    y, f = np.zeros((len(u), 3)), np.zeros((len(u), STRUCTURE.size))
+    f[:, AILERON] = u
+    y[:, 0] = EFFECT * u + 0.1 * rng.normal(size=len(u))
+    assert not share(RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT)).any()
+
+
 @pytest.mark.parametrize("offset", [-0.06, 0.06])
 def test_about_a_large_deflection_it_is_judged_by_what_it_does_there(offset: float) -> None:
     """Its slope at none, where it never is, has the other sign, and would be taken away 7 times."""
