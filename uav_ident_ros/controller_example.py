@@ -8,7 +8,6 @@ it flies on, identified, last good or nominal, is decided axis by axis. With the
 ``mode: fixed`` the same law keeps to the nominal coefficients for ever.
 """
 
-import re
 import sys
 import time
 from typing import Any
@@ -38,6 +37,7 @@ from uav_ident_ros.control import Effect, Gains, Law, RateController
 from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import header_ns, stamp_ns
+from uav_ident_ros.node.notices import without_numbers
 from uav_ident_ros.node.program import node_usage, read_parameters, run, spin
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
@@ -182,15 +182,16 @@ class ControllerExample(Node):
         """Say what the loop flies on: when it changes in the log, and on /diagnostics."""
         line += f": {why}" if why else ""
         t_ns = stamp_ns(header.stamp)
+        said = without_numbers(line)
         last_ns, logged = self._reported
-        news = without_numbers(line) != without_numbers(logged)
+        news = said != logged
         if not news and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
             return
         if news and why:
             self.get_logger().warning(line)
         elif news:
             self.get_logger().info(line)
-        self._reported = (t_ns, line)
+        self._reported = (t_ns, said)
         values = [] if controller is None else measured(controller)
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if why else DiagnosticStatus.OK,
@@ -199,11 +200,6 @@ class ControllerExample(Node):
             values=values,
         )
         self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
-
-
-def without_numbers(line: str) -> str:
-    """Return a line without its numbers: where these alone change, as measured, it is no news."""
-    return re.sub(r"\d+(\.\d+)?", "", line)
 
 
 def summary(effect: Effect) -> tuple[str, str]:

@@ -17,8 +17,8 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
 from uav_ident_ros.client.subscription import TOPIC
-from uav_ident_ros.controller_example import without_numbers
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.node.notices import without_numbers
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.ros import latched
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, main, tracking_error

@@ -188,13 +188,11 @@ class Feedback:
         self._answers = self._past.size + 1  # and the constant
         self._inputs = slice(self._answers, self._answers + len(INPUTS))
         self._gusts = slice(self._inputs.stop, self._inputs.stop + len(ROWS))
-        self._before: FloatArray = np.zeros((ORDER, len(INPUTS)))  # the newest first
-        self._interval = 0.0  # of the samples, s
+        self._before: FloatArray = np.zeros((ORDER, len(INPUTS)))  # the newest last
         size = self._gusts.stop + self._before.size
         self._products: FloatArray = np.zeros((size, size))
         self._gathered: list[tuple[Regression, FloatArray, float]] = []
         self._since_look = 0.0
-        self._effect: FloatArray = np.zeros(len(ROWS))
         self._set_share(np.zeros(len(INPUTS)), np.zeros(len(INPUTS), dtype=bool))
 
     def _set_share(self, share: FloatArray, sure: BoolArray) -> None:
@@ -224,14 +222,13 @@ class Feedback:
         effect : (3,) array
             Size of each row's main control derivative, 0 where it is not known.
         """
-        self._effect = effect
         self._gathered.append((samples, residual, samples.dt * max(weight.tolist())))
         self._since_look += samples.time
         if self._since_look >= INDEPENDENT_TIME:
             self._since_look = 0.0
             self._count()
             if self._products[self._answers - 1, self._answers - 1]:
-                self._look()
+                self._look(samples.dt, effect)
 
     def _count(self) -> None:
         """Add up the products of the samples that were gathered."""
@@ -241,25 +238,27 @@ class Feedback:
         for samples, residual, counted in gathered:
             if samples.restarted:
                 self._past = np.zeros_like(self._past)
-                self._before[:] = samples.f[0, INPUT_COLUMNS]
+                self._before = np.tile(samples.f[0, INPUT_COLUMNS], (ORDER, 1))
             keep = np.exp(-samples.dt / ANSWER_TIMES)[:, None]
-            last, self._interval = first + len(residual), samples.dt
-            inputs = samples.f[:, INPUT_COLUMNS]
-            signals[first:last, self._inputs] = inputs
-            signals[first:last, self._gusts] = residual
+            m = len(residual)
+            last = first + m
+            inputs = np.concatenate((self._before, samples.f[:, INPUT_COLUMNS]))
+            self._before = inputs[-ORDER:]
+            # the inputs and those before them, the residuals between
+            now, *lagged = inputs[_lags(m)]
+            signals[first:last, self._inputs.start :] = np.hstack((now, residual, *lagged))
             for k in range(first, last):
                 signals[k, : self._past.size] = self._past.ravel()
-                signals[k, self._gusts.stop :] = self._before.ravel()
                 self._past = keep * self._past + residual[k - first]
-                self._before = np.vstack((inputs[k - first], self._before[:-1]))
-            fade = np.exp(-counted * len(residual) / LONG_MEMORY)
+            fade = np.exp(-counted * m / LONG_MEMORY)
             self._products *= fade
             weight[:first] *= fade
             weight[first:last] = counted
             first = last
         self._products += (weight * signals).T @ signals
 
-    def _look(self) -> None:
+    def _look(self, interval: float, effect: FloatArray) -> None:
+        """Look anew which inputs answer, samples `interval` s apart."""
         n = self._answers
         time = self._products[n - 1, n - 1]
         mean = self._products[n - 1] / time
@@ -276,12 +275,12 @@ class Feedback:
         chance = (n - 1) * GUST_TIME / time
         surely = 1.0 + SURE * np.sqrt(2.0 / (n - 1))
         sure = share > chance * surely
-        asked = np.flatnonzero(sure & self._stronger(covariance, share - chance))
+        asked = np.flatnonzero(sure & self._stronger(covariance, share - chance, effect))
         foretold = [self._foretold(covariance, i) for i in asked.tolist()]
-        sure[asked] = np.array(foretold) > (n - 1) * self._interval / time * surely
+        sure[asked] = np.array(foretold) > (n - 1) * interval / time * surely
         self._set_share(np.maximum(share - chance, 0.0), sure)
 
-    def _stronger(self, covariance: FloatArray, share: FloatArray) -> BoolArray:
+    def _stronger(self, covariance: FloatArray, share: FloatArray, effect: FloatArray) -> BoolArray:
         """Whether such shares of the inputs, (4,), do more than the gusts of their plane of motion.
 
         So does the throttle, which no rate loop moves, and which has no row of its own.
@@ -290,7 +289,7 @@ class Feedback:
         gusts, inputs = variance[self._gusts].copy(), variance[self._inputs]
         gusts[[0, 2]] = gusts[0] + gusts[2]  # roll and yaw
         stronger = np.ones(len(INPUTS), dtype=bool)
-        moves = self._effect**2 * (share * inputs)[_MAIN_PLACES]
+        moves = effect**2 * (share * inputs)[_MAIN_PLACES]
         stronger[_MAIN_PLACES] = moves > gusts
         return stronger
 

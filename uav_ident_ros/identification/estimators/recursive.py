@@ -95,7 +95,6 @@ class RecursiveRegression:
         self.clear = self._gate.clear
         self.answers = self._feedback.share
         self.model_error, self.height = self._error.doubt, self._error.height
-        self._effect: FloatArray = np.zeros(len(ROWS))
         self._begin_changes()
         self._solve()
 
@@ -138,7 +137,8 @@ class RecursiveRegression:
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
         else:
-            self._feedback.add(samples, moments, weight, self._effect)
+            known = np.abs(self._known[0].values[1][MAIN_DERIVATIVES])  # whitened
+            self._feedback.add(samples, moments, weight, known)
             self.answers = self._feedback.share
         # No disturbance is in what is injected.
         answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
@@ -195,7 +195,6 @@ class RecursiveRegression:
             return
         if due:
             self._known = solution, covariance
-            self._effect = np.abs(solution.values[1][MAIN_DERIVATIVES])  # whitened
             self._since_sigma, self._settled_sigma = 0.0, sigma
             self.sigma = sigma.copy()
             inputs = self.sigma[: len(ROWS), INPUT_COLUMNS]
