@@ -32,7 +32,7 @@ from hostile import SECOND_NS, Hostile, stamped
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.prediction import PredictionFit
-from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, declarations
+from uav_ident_ros.identification.settings import LARGEST_NUMBER, declarations
 from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.ticks import Ticks
@@ -75,7 +75,7 @@ LARGEST_LOSS = 2.0
 BOUNDS = {
     "fit/": (-1000.0, 100.0),
     "verdict/": (0.0, 1.0),
-    "": (-LARGEST_COEFFICIENT, LARGEST_COEFFICIENT),
+    "": (-LARGEST_NUMBER, LARGEST_NUMBER),
 }
 LARGEST_RATE = 200.0
 """Bounds of what is published: entries by the beginning of their names; rates, rad/s."""
@@ -109,7 +109,7 @@ def out_of_bounds(outputs: Outputs) -> Iterator[str]:
         if not good:
             yield f"published {named}"
     for dense in outputs.coefficients:
-        if not (np.abs(dense.data) <= LARGEST_COEFFICIENT).all():
+        if not (np.abs(dense.data) <= LARGEST_NUMBER).all():
             yield f"published {dense}"
     for vector in (*outputs.predicted_rates, *outputs.prediction_error):
         v = vector.vector

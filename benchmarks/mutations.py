@@ -64,7 +64,8 @@ GIVEN = {
     "shapes by their names": {"AXES", "PULSES"},
     "memory, not results": {"BLOCK"},
     "the definition of the score": {
-        "HORIZONS", "INPUT_TIMEOUT", "LARGEST_STEP_NS", "LAST_PART", "MAX_GAP", "SETTLED_NS",
+        "HORIZONS", "INPUT_TIMEOUT", "LARGEST_RATE", "LARGEST_STEP_NS", "LAST_PART", "MAX_GAP",
+        "SETTLED_NS",
     },
 }  # fmt: skip
 """Names of numbers that nobody chose, by what gives them."""

@@ -130,6 +130,20 @@ def test_what_noise_hides_of_a_change_seems_to_change_until_it_is_learned() -> N
     assert max(seeming[1700:]) == 0.0
 
 
+def test_what_seems_changed_still_does_after_the_input_has_rested() -> None:
+    """Nothing tells meanwhile that it is over, though more noise hides it after."""
+    chance, detector = np.random.default_rng(5), ChangeDetector(STRUCTURE.mask, 15.0)
+    seeming = []
+    for k in range(3200):
+        u = 0.0 if 1600 <= k < 2400 else 0.03 * chance.normal()
+        more = 10.0 * u if k >= 1200 else 0.0
+        data = elevator_means(chance, u, more, noise=0.4 if k < 1600 else 1.0)
+        if detector.add(data):
+            assert detector.look(ELEVATOR, np.full((3, 4), 0.3)) == []
+        seeming.append(detector.seeming[1, 0])
+    assert np.mean(seeming[2500:]) > 5.0
+
+
 def test_slow_gusts_hide_no_change() -> None:
     chance, detector = np.random.default_rng(6), ChangeDetector(STRUCTURE.mask, 15.0)
     found, gust = [], 0.0

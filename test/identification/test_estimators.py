@@ -148,8 +148,8 @@ def information_of(f: FloatArray, y: FloatArray) -> Information:
     return information
 
 
-@pytest.mark.parametrize(("correlation", "named"), [(0.97, False), (0.985, True)])
-def test_inputs_that_correlate_by_more_than_98_percent_are_named(
+@pytest.mark.parametrize(("correlation", "named"), [(0.965, False), (0.975, True)])
+def test_inputs_that_correlate_by_more_than_97_percent_are_named(
     correlation: float, named: bool
 ) -> None:
     """The smaller eigenvalue is what the correlation lacks to one."""
@@ -187,7 +187,7 @@ def test_what_rests_is_kept_or_grows_unsure_with_its_row(
     )
     m = measured(45.0, segments=segments, gusts=ColouredNoise(0.3, 0.3))
     identifier, estimates = identified(m, structure=STRUCTURE, forgetting_time=forgetting_time)
-    at_rest, last = estimates[23 * 20], estimates[-1]
+    at_rest, last = estimates[25 * 20], estimates[-1]
     for name in ("pdot/dr", "rdot/dr", "pdot/dth"):
         place = identifier.structure.index(name)
         assert low < last.sigma[place] / at_rest.sigma[place] < high

@@ -226,12 +226,12 @@ BORDERS: list[tuple[str, Callable[[], Signals], dict[str, Any]]] = [
     ("", lambda: swaying(0.0), trim(-0.5)),
     ("trim", lambda: swaying(0.0), trim(-0.7)),
     ("", lambda: swaying(0.9), trim(0.2)),  # as far from no trim as from this one
-    ("", lambda: swaying(80.0), {}),
-    ("channel range", lambda: swaying(120.0), {}),
+    ("", lambda: swaying(170.0), {}),
+    ("channel range", lambda: swaying(190.0), {}),
     ("", lambda: plain(de=pulse_widths), MAPPED),
     ("", lambda: plain(de=lambda k: 2.9 * np.sin(k)), {}),
     ("channel range?", lambda: plain(de=lambda k: 3.5 * np.sin(k)), {}),  # degrees, a warning
-    ("", lambda: plain(de=lambda k: 120.0 * np.sin(k)), {}),
+    ("", lambda: plain(de=lambda k: 190.0 * np.sin(k)), {}),
     ("", lambda: plain(de=lambda k: 0.1 * np.random.default_rng(2).normal(size=len(k))), {}),
     ("", lambda: switching(0.015), {}),
     ("publishers", lambda: switching(0.03), {}),

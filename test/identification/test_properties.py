@@ -27,7 +27,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
 from uav_ident_ros.identification.samples import LARGEST_GYRO_RATE, LATEST_STAMP
 from uav_ident_ros.identification.settings import (
-    LARGEST_COEFFICIENT,
+    LARGEST_NUMBER,
     MAX_DELAY,
     Setting,
     Settings,
@@ -241,7 +241,7 @@ def within(values: FloatArray, bound: float) -> bool:
 def check(estimate: Estimate, settings: Settings) -> None:
     """Everything in an estimate is finite and in its bounds."""
     scale = LARGEST_RATIO**2 if settings.airspeed.type else 1.0
-    assert within(estimate.coefficients, LARGEST_COEFFICIENT * scale)
+    assert within(estimate.coefficients, LARGEST_NUMBER * scale)
     assert np.isfinite(estimate.sigma).all()
     assert (estimate.sigma >= 0.0).all()
     # After a gap the model starts from the measured rates.
@@ -297,7 +297,7 @@ def test_no_sequence_of_inputs_yields_nonsense(settings: Settings, history: list
     assert np.isfinite(world.identifier.estimator.information.excitation()).all()
     assert math.isfinite(world.identifier.delay)
     saved = world.identifier.coefficient_set()
-    assert within(saved.values, LARGEST_COEFFICIENT)
+    assert within(saved.values, LARGEST_NUMBER)
 
 
 # --- batching and order -----------------------------------------------------------------------

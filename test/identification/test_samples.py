@@ -119,8 +119,8 @@ def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
         ("rates", 4000.0 * math.pi / 180.0, 7000.0 * math.pi / 180.0),  # full scale of a gyro
         ("force", 90.0 * 9.80665, 120.0 * 9.80665),  # of an accelerometer for shocks
         ("airspeed", 900.0, 1200.0),
-        ("actuators", 70_000.0, 120_000.0),  # 1/min of a small motor
-        ("excitation", 70_000.0, 120_000.0),
+        ("actuators", 700_000.0, 1.2e6),  # ten times the 1/min of a small motor
+        ("excitation", 700_000.0, 1.2e6),
     ],
 )
 def test_what_a_sensor_or_a_motor_can_say_is_taken_and_what_none_can_is_not(

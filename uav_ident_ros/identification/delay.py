@@ -71,10 +71,6 @@ SYSTEMATIC_ERROR = 0.0075
 SURE_SIGMA = 2.0 * SYSTEMATIC_ERROR
 """Standard deviation up to which a delay counts as known, s: off by more it costs the fit."""
 
-KEPT_WEIGHT = 0.02
-"""What was learned with another delay counts for so much: it is biased, by tens of percent for
-60 ms, but holds the coefficients until there are new data."""
-
 _KEEP = math.exp(-1.0 / BLOCKS)  # of what was learned, in each block
 _RUDDER, _ELEVATOR = INPUTS.index("dr"), INPUTS.index("de")
 _SURFACES = (_RUDDER, _ELEVATOR)

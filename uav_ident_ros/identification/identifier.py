@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from uav_ident_ros.identification.delay import KEPT_WEIGHT, NO_ESTIMATE, DelayBank
+from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
@@ -48,7 +48,12 @@ from uav_ident_ros.identification.samples import (
     SampleBuffer,
 )
 from uav_ident_ros.identification.sampling import Block, Sampler
-from uav_ident_ros.identification.scales import LOOK_TIME, SAMPLE_TIME, START_TIME
+from uav_ident_ros.identification.scales import (
+    INDEPENDENT_TIME,
+    LOOK_TIME,
+    SAMPLE_TIME,
+    START_TIME,
+)
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
@@ -60,8 +65,9 @@ takes. What the last moments tell of the trim comes later by half of it: 0.3 poi
 recorded flights, and less than that of simulated ones. An Imu slower than the regression's samples
 is learned from at once: there is nothing to save."""
 
-START_LEAK_TIME = 0.5
-"""Leak of the model meanwhile, s: with poor coefficients its rate products would diverge."""
+START_LEAK_TIME = 0.5 * INDEPENDENT_TIME
+"""Leak of the model until `START_TIME`, s: with poor coefficients its rate products would diverge.
+"""
 
 
 class OnlineIdentifier:
@@ -268,7 +274,8 @@ class OnlineIdentifier:
     def _adopt_delay(self) -> None:
         """Pair rates and inputs anew where the flight shows another delay, or another lag.
 
-        What was learned with another one is biased.
+        What was learned with another one is biased, by tens of percent for 60 ms. It holds the
+        coefficients until there are new data, so it counts for as much as `INDEPENDENT_TIME` tells.
         """
         if not self.settings.actuators.estimate_delay:
             return
@@ -281,7 +288,7 @@ class OnlineIdentifier:
         elif estimate.sure:
             self.sampler.delay = max(self.delay + estimate.off(self.delay), 0.0)
         if (self.delay, self.lag) != before:
-            self.estimator.forget(KEPT_WEIGHT)
+            self.estimator.forget(min(INDEPENDENT_TIME / self._learned_time, 1.0))
             self._learned_time = 0.0
 
     def flying(self) -> Flying:

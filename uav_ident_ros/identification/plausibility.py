@@ -59,9 +59,10 @@ GRAVITY_LEFT = 1.0 - GRAVITY_BAND
 and loops, and where the gyro turns gravity wrongly. Turned back by a right one 0.9 or more is left
 on every flight known, turbulence and turns included."""
 
-SMALLEST_MEAN_RATE = 0.5
-"""Mean size of the angular rate, rad/s, from which a wrong unit would show: slower, little is
-turned in the window. Of the recorded flights known that turn as fast none pulls as steadily."""
+SMALLEST_MEAN_RATE = 1.0 / RESPONSE_TIME
+"""Mean size of the angular rate, rad/s, from which a wrong unit would show: slower, less than a
+radian is turned in `RESPONSE_TIME`. Of the recorded flights known that turn as fast none pulls as
+steadily."""
 
 PULLING_SPEED = GRAVITY * ENOUGH
 """Airspeed V, m/s, at which an aircraft that turns at w pulls V w. One whose specific force varies
@@ -74,11 +75,11 @@ SMALLEST_FORCE, LARGEST_FORCE = 0.4 * GRAVITY, 6.0 * GRAVITY
 LARGEST_TRIM = 0.6
 """Mean deviation from trim, rad, that no surface is flown with for seconds: 34 degrees."""
 
-COUNTS = 100.0
-"""Deviation from trim from which a channel is in microseconds, not in radians."""
-
 LARGEST_DEFLECTION = math.pi
 """Deflection that no surface reaches, rad."""
+
+COUNTS = math.degrees(LARGEST_DEFLECTION)
+"""Deviation from trim from which a channel is not in degrees either, but in microseconds."""
 
 STEP = 0.02
 """Step of an input that is no noise, rad or throttle."""

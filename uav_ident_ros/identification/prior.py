@@ -10,7 +10,7 @@ import numpy as np
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.rigid_body import Inertia, product_coefficients
 from uav_ident_ros.identification.scales import SURE
-from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings, SettingsError
+from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings, SettingsError
 from uav_ident_ros.identification.structure import (
     CONSTANT,
     FLOW_ANGLES,
@@ -230,9 +230,9 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
                 f"the initial coefficients are of structure '{initial.structure}', "
                 f"'structure' is '{structure.name}'",
             )
-        if not (np.abs(initial.values) <= LARGEST_COEFFICIENT).all():
+        if not (np.abs(initial.values) <= LARGEST_NUMBER).all():
             raise SettingsError(
-                f"an initial coefficient is beyond {LARGEST_COEFFICIENT:g}: none in SI units is",
+                f"an initial coefficient is beyond {LARGEST_NUMBER:g}: none in SI units is",
             )
         values = np.where(structure.mask, initial.values, 0.0)
         # Trim, balance and the biases of the sensors differ from flight to flight: the constants

@@ -22,7 +22,9 @@ from uav_ident_ros.identification.scales import (
     LONG_MEMORY,
     LOOK_TIME,
     MEMORY,
+    RESPONSE_TIME,
     ROUNDING,
+    SAMPLE_TIME,
     SURE,
     TINY,
 )
@@ -139,8 +141,9 @@ def _lags(m: int) -> NDArray[np.intp]:
 # --- feedback -------------------------------------------------------------------------------------
 
 
-ANSWER_TIMES = np.array([0.1, 0.5, 2.5])
-"""Time constants in which past residuals fade, s: from a rate loop to one that holds attitudes."""
+ANSWER_TIMES = np.geomspace(2.0 * SAMPLE_TIME, RESPONSE_TIME, 3)
+"""Time constants in which past residuals fade, s: from a rate loop, as quick as samples show it, to
+one that holds attitudes."""
 
 
 _MAIN_PLACES = [INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
@@ -315,8 +318,9 @@ def _left(covariance: FloatArray, at: int, by: NDArray[np.intp]) -> float:
 # --- confirmation ---------------------------------------------------------------------------------
 
 
-CONFIRMED = math.log(100.0)
-"""Logarithm of the odds, a hundred to one, from which on a derivative counts as confirmed."""
+CONFIRMED = 0.5 * SURE**2
+"""Logarithm of the odds, ninety to one, from which on a derivative counts as confirmed: it did
+something by `SURE` standard deviations."""
 
 LARGEST_ODDS = 2.0 * CONFIRMED
 """Logarithm of the odds beyond which more evidence adds nothing: what has failed is noticed

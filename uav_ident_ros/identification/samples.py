@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.scales import IN_A_ROW
-from uav_ident_ros.identification.settings import MAX_DELAY, Settings
+from uav_ident_ros.identification.settings import LARGEST_NUMBER, MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 
 TimeArray = NDArray[np.int64]
@@ -159,10 +159,6 @@ LARGEST_GYRO_RATE = 100.0
 LARGEST_MOTION = 1000.0
 """Specific force, m/s^2, and airspeed, m/s, that no aircraft survives."""
 
-LARGEST_CHANNEL = 1e5
-"""Raw channel value of no known unit: radians, fractions, PWM microseconds and motor speeds
-all stay below."""
-
 LATEST_STAMP = (2**31 - 1) * 1_000_000_000
 """Last time that a ROS stamp can hold, ns: there is no message with the ticks after it."""
 
@@ -248,10 +244,10 @@ class Intake:
     def __init__(self, settings: Settings, restart: Callable[[], None]) -> None:
         channels = len(settings.actuators.channels)
         self._streams = {
-            ACTUATORS: Stream(channels, LARGEST_CHANNEL),
+            ACTUATORS: Stream(channels, LARGEST_NUMBER),
             AIRSPEED: Stream(1, LARGEST_MOTION),
             ARMED: Stream(1, 1.0, kept_if_late=True),
-            EXCITATION: Stream(len(INPUTS), LARGEST_CHANNEL, kept_if_late=True, calls_off=True),
+            EXCITATION: Stream(len(INPUTS), LARGEST_NUMBER, kept_if_late=True, calls_off=True),
         }
         self._restart_all = restart
         self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)

@@ -16,7 +16,7 @@ import numpy as np
 from uav_ident_ros.identification.filters import BlockFilter, DiscreteSystem
 from uav_ident_ros.identification.frames import BodyFrame, centripetal
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
-from uav_ident_ros.identification.scales import IN_A_ROW
+from uav_ident_ros.identification.scales import IN_A_ROW, SAMPLE_TIME
 from uav_ident_ros.identification.settings import (
     EXCITATION_TIMEOUT,
     MAX_DELAY,
@@ -141,15 +141,17 @@ def cell_means(
 # --- the grid -------------------------------------------------------------------------------------
 
 
-RATE_SAMPLES = 20
-"""Samples from which the Imu's rate is found: enough for a median that drop-outs don't move."""
+RATE_SAMPLES = 4 * IN_A_ROW
+"""Samples from which the Imu's rate is found: their median stays though `IN_A_ROW` are lost, twice.
+"""
 
 FASTEST_CELL_NS = 1_000_000
 """Shortest cell, ns: 1 kHz, the highest Imu rate worth following."""
 
-SHORTEST_LOSS_NS = 100_000_000
+SHORTEST_LOSS_NS = round(2.0 * SAMPLE_TIME / NS)
 """Time before which no input counts as lost, ns: two or three messages lost on a radio link do no
-harm."""
+harm to what is filtered anyway."""
+
 Edges = TypeVar("Edges", TimeArray, FloatArray)
 
 STEADY_RATE = 0.1

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scales of time and of chance that parts of the core share."""
 
+from statistics import NormalDist
+
 import numpy as np
 
 STEP = 0.025
@@ -44,8 +46,9 @@ BLOCKS = round(LONG_MEMORY / INDEPENDENT_TIME)
 SURE = 3.0
 """Standard deviations from which something is no chance."""
 
-DOUBTLESS = 4.0
-"""The same where every second brings a new look: one in ten thousand."""
+DOUBTLESS = -NormalDist().inv_cdf(NormalDist().cdf(-SURE) / BLOCKS)
+"""The same, 4.1, where each of `BLOCKS` brings a new look: together they are no more often wrong
+(Bonferroni)."""
 
 OUTLYING = SURE**2
 """Square, relative to its variance or mean, from which samples count less."""

@@ -178,8 +178,9 @@ def _setting(
     )
 
 
-LARGEST_COEFFICIENT = 1e6
-"""Magnitude beyond which a coefficient is nonsense in SI units."""
+LARGEST_NUMBER = 1e6
+"""Magnitude beyond which a coefficient in SI units is nonsense, and so is a channel: radians,
+fractions, PWM microseconds and motor speeds all stay below."""
 
 MAX_DELAY = 0.5
 """Longest transport delay that is looked back for, s."""
@@ -501,7 +502,7 @@ class Settings:
         "'instrumental_variable', which gyro noise and gusts do not bias. Leave it unless you "
         "compare methods.")
     initial_coefficients: tuple[float, ...] = _setting(
-        (), "", (-LARGEST_COEFFICIENT, LARGEST_COEFFICIENT), text=
+        (), "", (-LARGEST_NUMBER, LARGEST_NUMBER), text=
         "Initial coefficients A_m: 3n values, row-major, SI. Empty: zeros. Set them if an "
         "aircraft model is at hand.")
     initial_coefficients_file: str = _setting("", text=

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, POWERLESS
+from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.scales import (
     GUST_TIME,
@@ -34,8 +35,8 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 
-WINDOW_TIME = 5.0
-"""Time over which residuals are looked at, s."""
+WINDOW_TIME = HORIZONS[-1]
+"""Time over which residuals are looked at, s: as long as a pilot's manoeuvre."""
 
 REVERSED = 2.0
 """Change of a control derivative whose surface is reversed, relative to its value."""
@@ -154,8 +155,8 @@ class ChangeDetector:
         owed = len(residual) * np.log(left / rivals) > OUTLYING
         # The slope along an input that hardly moves tells nothing.
         tells = noise < np.hypot(unsure, usual)
-        seeming = self._seeming(np.abs(size), unsure, np.maximum(usual, noise), sure & ~owed)
-        self.seeming[places] = np.where(tells, seeming, self.seeming[places])
+        floor = np.maximum(usual, noise)
+        self._follow_seeming(np.abs(size), unsure, floor, sure & ~owed, tells)
         explained = np.where(sure & ~owed, explained, 0.0)
         changes = []
         # More than all else together: what an autopilot answers to a storm explains up to 0.4.
@@ -173,10 +174,15 @@ class ChangeDetector:
             self.restart()  # to the new coefficients, the change is in what came before it
         return changes
 
-    def _seeming(
-        self, size: FloatArray, unsure: FloatArray, usual: FloatArray, sure: BoolArray
-    ) -> FloatArray:
-        """Return by how much each seems to have changed, 0 if it does not.
+    def _follow_seeming(
+        self,
+        size: FloatArray,
+        unsure: FloatArray,
+        usual: FloatArray,
+        sure: BoolArray,
+        tells: BoolArray,
+    ) -> None:
+        """Follow by how much each seems to have changed, as far as its input `tells`.
 
         It does until its slope is no more than what was usual before: a change that lasts becomes
         usual itself.
@@ -184,8 +190,9 @@ class ChangeDetector:
         sure = sure & (size > SURE * np.hypot(unsure, usual))
         before = np.minimum(self._usual_before, np.where(sure, usual, np.inf))
         still = size > ACQUITTED * np.hypot(unsure, before)
-        self._usual_before = np.where(still, before, np.inf)
-        return np.where(still, size, 0.0)
+        self._usual_before[tells] = np.where(still, before, np.inf)[tells]
+        places = self._row[tells], self._column[tells] - INPUT_COLUMNS.start
+        self.seeming[places] = np.where(still, size, 0.0)[tells]
 
     def _usual(self) -> FloatArray:
         """Return the usual size of what seems to change, rms: model errors come and go.

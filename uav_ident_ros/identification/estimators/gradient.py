@@ -9,7 +9,7 @@ from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Inf
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.scales import MEMORY, ROUNDING, START_TIME, SURE
-from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings, SettingsError
+from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings, SettingsError
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
@@ -189,7 +189,7 @@ class GradientEstimator:
                 f"exceeds {EULER_LIMIT:g}; lower 'gradient.gains' or set 'gradient.step' to "
                 "'guarded'"
             )
-        if (np.abs(moved) < LARGEST_COEFFICIENT).all():  # NaN fails too
+        if (np.abs(moved) < LARGEST_NUMBER).all():  # NaN fails too
             moved = self._limit(moved)
             self.coefficients = np.where(self.learning[:, None], moved, self.coefficients)
         else:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from uav_ident_ros.identification.prior import Start, physical_bounds
 from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
 from uav_ident_ros.identification.scales import (
+    DOUBTLESS,
     INDEPENDENT_TIME,
     OUTLYING,
     ROUNDING,
@@ -29,10 +30,6 @@ from uav_ident_ros.identification.scales import (
     TINY,
 )
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, FlowRows, Structure
-
-FADE_TIME = 8.0
-"""Time constant with which the information of the least-squares start then fades, s. It is
-biased, so it must go; at once, too little would be left where a flight has told little yet."""
 
 FIRST_RESIDUAL_VARIANCE = 0.1
 """Residual variance until there is a measured one, rad^2/s^4: filtered gyro noise."""
@@ -45,9 +42,10 @@ control derivatives are off by 2.4 % rms, all dominant ones by 3.4 (benchmarks/d
 POWERLESS = TINY**0.5
 """Power below which an instrument has none: the product of two scales is a number still."""
 
-COLLINEAR_EIGENVALUE = 0.02
-"""Eigenvalue of the scaled information below which its direction is unknown; 1 if all
-regressors are uncorrelated."""
+COLLINEAR_EIGENVALUE = 0.5 / DOUBTLESS**2
+"""Eigenvalue of the scaled information below which its direction is unknown; 1 if all regressors
+are uncorrelated. Of two that are alike up to this the sigmas grow by `DOUBTLESS`: they correlate by
+97 %."""
 
 
 _FROM_KAPPA = np.array([[1.0], [0.0]])
@@ -187,8 +185,9 @@ class Information:
     """What the samples so far tell, with prior and forgetting.
 
     Estimates from the same samples, plain or whitened, are parts that run side by side. Those with
-    instruments begin as least squares for `SHORT_MEMORY`, since a model must be there first; that
-    start fades.
+    instruments begin as least squares for `SHORT_MEMORY`, since a model must be there first. That
+    start fades as slowly: it is biased, so it must go, but at once too little would be left where a
+    flight has told little yet.
 
     Parameters
     ----------
@@ -308,7 +307,7 @@ class Information:
                 stack.z[part] = stack.f[part]
         time, begun = weight * stack.time, self.time > 0.0
         if self._fading is not None:
-            keep = np.exp(time / -FADE_TIME)
+            keep = np.exp(time / -SHORT_MEMORY)
             self._fading.weigh(keep)
             self._faded *= keep
             if self._faded.max() < ROUNDING:

@@ -21,7 +21,7 @@ from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.scales import LOOK_TIME, OUTLYING, SHORT_MEMORY, START_TIME
-from uav_ident_ros.identification.settings import LARGEST_COEFFICIENT, Settings
+from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
@@ -189,7 +189,7 @@ class RecursiveRegression:
             covariance, sigmas = self.information.spread(solution)
             sigma = self._sigma(solution, sigmas)
         largest = np.maximum.reduce(np.abs(values), axis=None)
-        sound = largest < LARGEST_COEFFICIENT  # NaN fails too
+        sound = largest < LARGEST_NUMBER  # NaN fails too
         if not sound or (due and not np.isfinite(sigma).all()):
             self.forget(0.0)
             return
