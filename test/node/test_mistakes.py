@@ -123,7 +123,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
         {"actuators": put("position", [math.nan] * 4)}),
     "channels of another kind": (
         DROPPED.format("/actuators", "their values are larger than any aircraft has"),
-        {"actuators": put("position", [1e6] * 4)}),
+        {"actuators": put("position", [2e6] * 4)}),
     "two clocks": ("they run on different clocks", {"actuators": stamp(START_NS // 10**9 + 999)}),
     "airspeed of another unit": (
         DROPPED.format("/airspeed", "their values are larger than any aircraft has: look at un"),
