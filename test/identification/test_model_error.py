@@ -92,6 +92,25 @@ def test_about_a_large_deflection_it_is_judged_by_what_it_does_there(offset: flo
     assert share(RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT)).tolist() == [0.0, 0.0, 0.0]
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_surface_that_rests_while_its_row_learns_is_accused_of_nothing(seed: int) -> None:
+    """A minute later the newest blocks hold only what the filter has left of it, down to nothing.
+
+    That is an exponential, its square and its slopes: one block fits it, and leaves no scatter.
+    """
+    rng, t = np.random.default_rng(seed), DT * np.arange(3200)
+    moves = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
+    u = np.where(t < 60.0, moves, 0.05 * np.exp(-15.0 * np.maximum(t - 60.0, 0.0)))
+    y, f = np.zeros((len(t), 3)), np.zeros((len(t), STRUCTURE.size))
+    f[:, AILERON] = u
+    f[:, 5] = 0.1 * np.convolve(rng.normal(size=len(t)), np.ones(20) / 20.0, "same")
+    y[:, 0] = DAMPING * f[:, 5] + EFFECT * u + 0.1 * rng.normal(size=len(t))
+    looked = ModelError(LAYOUT)
+    found = shares(RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT), looked)
+    assert found.max() < 0.02
+    assert looked.doubt.max() < 0.02
+
+
 @pytest.mark.parametrize("lag", [0.08, 0.12])
 def test_an_aileron_that_lags_is_found(lag: float) -> None:
     assert share(rolled(lag=lag))[0] > 0.1

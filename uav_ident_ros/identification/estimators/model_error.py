@@ -23,8 +23,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_ident_ros.identification.estimators.information import POWERLESS
 from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
-from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME
+from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME, ROUNDING
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
 ACQUITTED = 0.5 * DOUBTLESS
@@ -77,7 +78,7 @@ class ModelError:
         self._sure: BoolArray = np.zeros((rows, 2, 2), dtype=bool)
         self._sure_early: BoolArray = np.zeros((rows, 1, 2), dtype=bool)
         self.share: FloatArray = np.zeros(len(ROWS))
-        self._early = 0.0
+        self._early: FloatArray = np.zeros(len(ROWS))
         self.height = 0.0
 
     @property
@@ -86,7 +87,7 @@ class ModelError:
 
         Delay and lag are one setting for all inputs, and nothing but they makes one look early.
         """
-        return np.maximum(self.share, self._early)
+        return np.maximum(self.share, self._early.max())
 
     def forget(self, row: int) -> None:
         """Forget what a row has shown: it is learned anew."""
@@ -94,7 +95,7 @@ class ModelError:
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
         self._sure[row] = self._sure_early[row] = False
-        self.share[row] = 0.0
+        self.share[row] = self._early[row] = 0.0
 
     def add(
         self,
@@ -173,17 +174,16 @@ class ModelError:
         count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
         if count <= k:
             return  # as many coefficients leave no scatter to judge by
-        found, size = self._found(slice(count), _BESIDE_LATENESS, self._sure, ratio, effect)
+        found, size, told = self._found(slice(count), _BESIDE_LATENESS, self._sure, ratio, effect)
         self.height = float(size[len(ROWS) :, 0, 1].sum())
         # saturation, lateness beside it, and attenuation
         taken = found[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
-        self.share = np.clip(taken, 0.0, 1.0).max(axis=1)
-        early = found[: len(ROWS), 0, 1]
+        self.share = np.where(told, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
-            found, _ = self._found(newest, (_SATURATION,), self._sure_early, ratio, effect)
-            early = found[: len(ROWS), 0, 1]
-        self._early = min(-early.min(initial=0.0), 1.0)
+            found, _, told = self._found(newest, (_SATURATION,), self._sure_early, ratio, effect)
+        early = np.clip(-found[: len(ROWS), 0, 1], 0.0, 1.0)
+        self._early = np.where(told, early, self._early)
 
     def _found(
         self,
@@ -192,12 +192,13 @@ class ModelError:
         sure: BoolArray,
         ratio: FloatArray,
         effect: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return what extra regressors and lateness take away, and their coefficients.
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return what extra regressors and lateness take away, their coefficients, and who tells.
 
-        Both are (rows, others, 2), 0 where that may be chance: one of `others` and lateness.
-        Solved in units of each regressor's rms; they are compared with their own sigma, and `sure`
-        (rows, others, 2) follows.
+        The first two are (rows, others, 2), 0 where that may be chance: one of `others` and
+        lateness. Solved in units of each regressor's rms; they are compared with their own sigma,
+        and `sure` (rows, others, 2) follows. A moment row tells, (3,), if its input moved in more
+        blocks than it makes regressors: fewer leave no scatter of what it does.
         """
         zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
         count, width = zy.shape[1:]
@@ -212,7 +213,14 @@ class ModelError:
         explained = zf.reshape(len(zf), 1, -1, width) @ solved.swapaxes(-1, -2)
         scores = zy[:, None] - explained.reshape(len(zf), -1, count, width)
         scatter = scores @ (gain * scale[..., None, :] @ pick).swapaxes(-1, -2)
-        variance = (1.0 + k / (count - k)) * np.add.reduce(scatter**2, axis=2)
+        # Blocks count as the input moved in them (the effective sample size; Kish 1965).
+        moved = zz[range(len(zz)), :, self._entries, self._entries]
+        shares = moved / np.maximum(moved.sum(axis=1, keepdims=True), POWERLESS)
+        effective = shares.sum(axis=1) / np.maximum(np.square(shares).sum(axis=1), ROUNDING)
+        made = k - own + 1  # by the input: itself, and those added
+        tells = effective > made
+        lost = np.maximum(k / (count - k), made / np.where(tells, effective - made, 1.0))
+        variance = (1.0 + lost[:, None, None]) * np.add.reduce(scatter**2, axis=2)
         # An input that answers looks late, but not as if it stopped short.
         answers = ratio * np.add.reduce(self._squares[:, blocks], axis=1)
         looks = np.array([(other != _SATURATION, True) for other in others])
@@ -225,8 +233,9 @@ class ModelError:
         whole[: len(ROWS), :, 0] = effect[:, None] / main
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
         least = np.where(sure, ACQUITTED, DOUBTLESS)
-        sure[:] = extra**2 > least**2 * variance
-        return np.where(sure, away, 0.0), np.where(sure, extra * scale[..., -2:], 0.0)
+        sure[tells] = (extra**2 > least**2 * variance)[tells]
+        found, size = np.where(sure, away, 0.0), np.where(sure, extra * scale[..., -2:], 0.0)
+        return found, size, tells[: len(ROWS)]
 
 
 def _solved(
@@ -252,7 +261,7 @@ def _solved(
     """
     slope, instruments = (pick @ sums[:, None] @ pick.swapaxes(-1, -2) for sums in (zf, zz))
     power = diagonal(instruments)
-    scale = 1.0 / np.sqrt(np.where(power > 0.0, power, 1.0))
+    scale = 1.0 / np.sqrt(np.where(power > POWERLESS, power, 1.0))
     both = scale[..., :, None] * scale[..., None, :]
     load = LOADING * np.eye(pick.shape[1])
     slope, instruments = slope * both, instruments * both + load
