@@ -51,9 +51,8 @@ from loop import (
 from pid import SURFACES, PidController, PidGains
 
 from uav_ident_ros.client import CoefficientSource, Fallback
-from uav_ident_ros.control import Law
+from uav_ident_ros.control import IncrementalLaw, InversionLaw
 from uav_ident_ros.control.choice import control_derivatives
-from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, RATE_COLUMNS, FloatArray
 from uav_ident_ros.simulation.aircraft import Aircraft, linearise, settle
@@ -144,7 +143,7 @@ def pid_gains(prepared: Prepared, factor: float) -> PidGains:
     effect = control_derivatives(nominal_of(prepared))[0]
     main = np.array([effect[axis, column] for axis, column in enumerate(SURFACES)])
     rates = nominal_of(prepared).values[:3, RATE_COLUMNS].diagonal()
-    k = factor * np.array(OWN_GAINS[Law.INCREMENTAL].rate)
+    k = factor * np.array(IncrementalLaw.gains.rate)
     return PidGains(
         forward=-rates / main, proportional=k / main, integral=k**2 / 2.0 / main,
         derivative=0.1 / main,
@@ -156,9 +155,8 @@ def make_controller(prepared: Prepared, name: str, factor: float) -> Make:
     if name == "PID":
         gains = pid_gains(prepared, factor)
         return lambda source: PidController(prepared.limits - prepared.trim, gains)
-    law = Law.INVERSION if name == "inversion" else Law.INCREMENTAL
-    adaptive = name in (ADAPTIVE, ORACLE)
-    return rate_controller(prepared, law, adaptive, OWN_GAINS[law].times(factor))
+    law = InversionLaw if name == "inversion" else IncrementalLaw
+    return rate_controller(prepared, name in (ADAPTIVE, ORACLE), law, law.gains.times(factor))
 
 
 class Oracle:

@@ -13,7 +13,8 @@ from typing import Protocol
 import numpy as np
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
-from uav_ident_ros.control.controller import Law, RateController
+from uav_ident_ros.control import IncrementalLaw, RateController
+from uav_ident_ros.control.controller import Law
 from uav_ident_ros.control.reference import Gains
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -196,7 +197,10 @@ def fly_loop(
 
 
 def rate_controller(
-    prepared: Prepared, law: Law, adaptive: bool, gains: Gains
+    prepared: Prepared,
+    adaptive: bool = True,
+    law: Law = IncrementalLaw,
+    gains: Gains | None = None,  # Its own by default
 ) -> Callable[[CoefficientSource], RateController]:
     """Return what makes a `RateController` for `fly_loop`."""
     limits = prepared.limits - prepared.trim

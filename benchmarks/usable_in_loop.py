@@ -19,7 +19,6 @@ import bench
 import numpy as np
 from loop import Mission, fly_loop, make_identifier, rate_controller
 
-from uav_ident_ros.control.controller import OWN_GAINS, Law
 from uav_ident_ros.identification.structure import MAIN_INPUTS, STRUCTURES
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
 
@@ -46,10 +45,7 @@ def fly(flight: tuple[str, int, float, int], duration: float, airspeed: bool) ->
         seed,
         replace(SENSORS, gyro_noise=noise),
     )
-    law = Law.INCREMENTAL
-    outcome = fly_loop(
-        prepared, mission, rate_controller(prepared, law, True, OWN_GAINS[law]), identifier
-    )
+    outcome = fly_loop(prepared, mission, rate_controller(prepared), identifier)
     rows = np.array([rows for t, rows in outcome.usable if t >= START])
     end, known = identifier.coefficient_set(), prepared.coefficients
     index = [STRUCTURES[known.structure].index(name) for name in MAIN]

@@ -33,8 +33,7 @@ from uav_ident_ros.client import (
     subscribe,
     subscribe_excitation,
 )
-from uav_ident_ros.control import Effect, Gains, Law, RateController
-from uav_ident_ros.control.controller import OWN_GAINS
+from uav_ident_ros.control import LAWS, Effect, Gains, RateController
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import header_ns, stamp_ns
 from uav_ident_ros.node.notices import without_numbers
@@ -71,7 +70,7 @@ DELAYS = ("delay", "coefficients_delay", "reference_delay")
 LEAST = dict.fromkeys((*DELAYS, "rate_gain", "bandwidth", "excitation_limit"), 0.0)
 """What they must not be below."""
 
-WORDS = {"law": [law.value for law in Law], "mode": ["adaptive", "fixed"]}
+WORDS = {"law": list(LAWS), "mode": ["adaptive", "fixed"]}
 """What they may be."""
 
 
@@ -82,7 +81,7 @@ class ControllerExample(Node):
         super().__init__("controller")
         value = read_parameters(self, PARAMETERS, LEAST, WORDS)
         self._value = value
-        self._law = Law(value["law"])
+        self._law = LAWS[value["law"]]
         self._adaptive = value["mode"] != "fixed"
         self._trim = np.array(value["trim"])
         nominal = Coefficients.from_file(value["nominal_file"]) if value["nominal_file"] else None
@@ -127,7 +126,7 @@ class ControllerExample(Node):
     def _make(self, nominal: Coefficients) -> RateController:
         value = self._value
         p, q, r = value["rate_gain"]
-        gains = Gains((p, q, r), value["bandwidth"] or OWN_GAINS[self._law].bandwidth)
+        gains = Gains((p, q, r), value["bandwidth"] or self._law.gains.bandwidth)
         return RateController(
             self._source,
             nominal,

@@ -7,8 +7,8 @@ import numpy as np
 from equations import matrix
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
-from uav_ident_ros.control import Law, RateController
-from uav_ident_ros.control.controller import OWN_GAINS
+from uav_ident_ros.control import IncrementalLaw, RateController
+from uav_ident_ros.control.controller import Law
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
@@ -34,13 +34,13 @@ def coefficients(effect: FloatArray | float = 1.0, t_ns: int = START) -> Coeffic
 
 
 def controller(
-    law: Law = Law.INCREMENTAL, speed: float = 1.0, **options: bool
+    law: Law = IncrementalLaw, speed: float = 1.0, **options: bool
 ) -> tuple[RateController, CoefficientSource]:
     """Return a controller with the healthy set as its nominal one, and what feeds it."""
-    gains = OWN_GAINS[law].times(speed)
     nominal = coefficients()
     source = CoefficientSource(Fallback.LAST_GOOD, nominal)
     delay = DELAY_STEPS * DT_NS * 1e-9
+    gains = law.gains.times(speed)
     return RateController(source, nominal, LIMITS, delay, law, gains=gains, **options), source
 
 

@@ -11,22 +11,16 @@ pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 from loop import Mission, fly_loop, make_identifier, rate_controller
 
 from uav_ident_ros.client import Coefficients
-from uav_ident_ros.control import Law
-from uav_ident_ros.control.controller import OWN_GAINS
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.simulation.aircraft import linearise_cruise
 from uav_ident_ros.simulation.preparation import Prepared, prepare, write
 
-NAME, LAW = "ultra_stick_25e", Law.INCREMENTAL
+NAME = "ultra_stick_25e"
 
 
 @pytest.fixture(scope="module")
 def small() -> Prepared:
     return prepare(NAME, time=40.0)
-
-
-def make(prepared: Prepared, adaptive: bool = True):  # type: ignore[no-untyped-def]
-    return rate_controller(prepared, LAW, adaptive, OWN_GAINS[LAW])
 
 
 def test_what_is_identified_is_true_and_the_files_have_the_sections_of_the_nodes(
@@ -46,18 +40,18 @@ def test_what_is_identified_is_true_and_the_files_have_the_sections_of_the_nodes
 
 
 def test_it_flies_on_what_was_identified(small: Prepared) -> None:
-    outcome = fly_loop(small, Mission(8.0), make(small), make_identifier(small))
+    outcome = fly_loop(small, Mission(8.0), rate_controller(small), make_identifier(small))
     assert outcome.lost is None and len(outcome.time) == 800
     assert outcome.error(3.0, 8.0).max() < 5.0
     assert len(outcome.usable) > 100
-    again = fly_loop(small, Mission(2.0), make(small), make_identifier(small))
+    again = fly_loop(small, Mission(2.0), rate_controller(small), make_identifier(small))
     np.testing.assert_array_equal(outcome.rates[:200], again.rates)
 
 
 def test_a_reversed_aileron_is_survived_and_a_fixed_law_is_lost(small: Prepared) -> None:
     mission = Mission(12.0, ("5: aileron effect -1",))
-    adaptive = fly_loop(small, mission, make(small))
-    fixed = fly_loop(small, mission, make(small, adaptive=False))
+    adaptive = fly_loop(small, mission, rate_controller(small))
+    fixed = fly_loop(small, mission, rate_controller(small, adaptive=False))
     assert adaptive.lost is None
     assert adaptive.sources[-1][1][0] == "measured"
     assert adaptive.error(8.0, 12.0)[0] < 6.0
@@ -72,15 +66,17 @@ def light() -> Prepared:
 
 def test_a_jammed_aileron_is_survived_by_sideslip_and_a_fixed_law_is_lost(light: Prepared) -> None:
     mission = Mission(12.0, ("3: aileron jams 0.06",), seed=1)
-    adaptive = fly_loop(light, mission, make(light))
-    fixed = fly_loop(light, mission, make(light, adaptive=False))
+    adaptive = fly_loop(light, mission, rate_controller(light))
+    fixed = fly_loop(light, mission, rate_controller(light, adaptive=False))
     assert adaptive.lost is None and adaptive.error(3.0, 12.0)[1] < 2.0
     assert fixed.lost is not None
 
 
 def test_a_lost_aileron_leaves_pitch_and_yaw_whole(light: Prepared) -> None:
     healthy, lost = (
-        fly_loop(light, Mission(15.0, faults, seed=1), make(light), make_identifier(light))
+        fly_loop(
+            light, Mission(15.0, faults, seed=1), rate_controller(light), make_identifier(light)
+        )
         for faults in ((), ("8: aileron effect 0",))
     )
     assert (lost.error(10.0, 15.0)[1:] < 1.3 * healthy.error(10.0, 15.0)[1:]).all()

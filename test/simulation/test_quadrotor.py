@@ -9,7 +9,7 @@ from flying import identified
 from loop import Loop
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
-from uav_ident_ros.control import Law, RateController
+from uav_ident_ros.control import LAWS, RateController
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -95,7 +95,7 @@ def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = No
     controller = load_parameters(FILES / "quadrotor.yaml", "controller")
     limits = np.array([controller["least"], controller["largest"]]) - controller["trim"]
     source = CoefficientSource(Fallback.NOMINAL, known)
-    chosen = Law(controller.get("law", "incremental"))
+    chosen = LAWS[controller.get("law", "incremental")]
     law = RateController(source, known, limits, controller["delay"], chosen, adaptive=False)
     craft = LiveQuadrotor(SENSORS, 0.01, [parse_fault(text) for text in faults])
     guide = Manoeuvres(bank=0.2, pitch=0.2, hold=(2.0, 4.0), airspeed=1000.0, seed=0)

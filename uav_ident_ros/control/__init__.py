@@ -9,7 +9,7 @@ together.
 
 from uav_ident_ros.control.allocation import allocate
 from uav_ident_ros.control.choice import AxisChoice, Effect
-from uav_ident_ros.control.controller import Law, RateController
+from uav_ident_ros.control.controller import LAWS, RateController
 from uav_ident_ros.control.effectiveness import Effectiveness
 from uav_ident_ros.control.incremental import IncrementalLaw
 from uav_ident_ros.control.inversion import InversionLaw
@@ -17,13 +17,13 @@ from uav_ident_ros.control.reference import Gains
 from uav_ident_ros.control.response import Response
 
 __all__ = [
+    "LAWS",
     "AxisChoice",
     "Effect",
     "Effectiveness",
     "Gains",
     "IncrementalLaw",
     "InversionLaw",
-    "Law",
     "RateController",
     "Response",
     "allocate",

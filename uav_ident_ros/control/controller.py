@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rate controller on identified coefficients, without ROS: samples in, inputs out."""
 
-from enum import Enum
-
 import numpy as np
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, History
 from uav_ident_ros.control.choice import IDENTIFIED, AxisChoice, Effect
 from uav_ident_ros.control.effectiveness import Effectiveness
-from uav_ident_ros.control.incremental import GAINS, IncrementalLaw
-from uav_ident_ros.control.inversion import GAINS as INVERSION_GAINS
+from uav_ident_ros.control.incremental import IncrementalLaw
 from uav_ident_ros.control.inversion import InversionLaw
 from uav_ident_ros.control.lateness import DelayMeter
 from uav_ident_ros.control.reference import MAX_INTERVAL, Gains
@@ -17,15 +14,10 @@ from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import rolls_over, yaw_for_roll
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
+Law = type[IncrementalLaw] | type[InversionLaw]
 
-class Law(Enum):
-    """How the wanted angular acceleration becomes inputs."""
-
-    INCREMENTAL = "incremental"
-    INVERSION = "inversion"
-
-
-OWN_GAINS = {Law.INCREMENTAL: GAINS, Law.INVERSION: INVERSION_GAINS}
+LAWS: dict[str, Law] = {"incremental": IncrementalLaw, "inversion": InversionLaw}
+"""How the wanted angular acceleration becomes inputs, by name."""
 
 
 class RateController:
@@ -41,10 +33,10 @@ class RateController:
         # From a sample's stamp to the surface that its command moves, s; adaptive, the delay that
         # the flight shows takes its place
         delay: float,
-        law: Law = Law.INCREMENTAL,
+        law: Law = IncrementalLaw,
         # Whether to act on what is identified and measured, or on the nominal set for ever
         adaptive: bool = True,
-        gains: Gains | None = None,  # Of the law; for a light aircraft by default
+        gains: Gains | None = None,  # Of the law; its own by default
     ) -> None:
         self._limits = limits
         limits = np.array(limits, dtype=np.float64)
@@ -59,8 +51,7 @@ class RateController:
         self.effectiveness, self.delay = Effectiveness(), DelayMeter(delay)
         # Control derivatives flown on, and where they are from
         self.effect: Effect = self._choice.update(0, self.effectiveness)
-        kind = IncrementalLaw if law is Law.INCREMENTAL else InversionLaw
-        self._law = kind(limits, self._choice.scale, gains or OWN_GAINS[law])
+        self._law = law(limits, self._choice.scale, gains or law.gains)
 
     def update(
         self,

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from uav_ident_ros.commandline import OneLineParser
-from uav_ident_ros.control import Law
+from uav_ident_ros.control import LAWS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.process import NodeProcess
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
@@ -217,7 +217,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="'60: aileron effect 0.5'; may be repeated")  # fmt: skip
     add("--turbulence", type=int, default=0, metavar="LEVEL", help="0 (calm) to 7 (default: 0)")
     add("--mode", choices=("adaptive", "fixed"), default="adaptive")
-    add("--law", choices=[law.value for law in Law], default=Law.INCREMENTAL.value)
+    add("--law", choices=tuple(LAWS), default="incremental")
     add("--ignore-verdict", action="store_true",
         help="act on the newest coefficients, each as far as its sigma allows")  # fmt: skip
     add("--cold", action="store_true", help="no initial coefficients")
