@@ -47,7 +47,7 @@ from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live
 from uav_ident_ros.simulation.preparation import SENSORS
 from uav_ident_ros.simulation.quadrotor_flight import Body, LiveQuadrotor
-from uav_ident_ros.simulation.rate_reference import PARAMETERS, Manoeuvres
+from uav_ident_ros.simulation.rate_reference import NORMAL, Manoeuvres
 
 CONFIG = bench.ROOT / "config" / "closed_loop"
 AIRCRAFT = "c172p"
@@ -129,7 +129,7 @@ class Flight:
                 self.identifier.add_excitation(injection.t_ns, injection.values.tolist())
 
         self.loop = Loop(
-            self.aircraft, trim, Manoeuvres(**PARAMETERS | guided | {"seed": seed}),
+            self.aircraft, trim, Manoeuvres(**NORMAL | guided | {"seed": seed}),
             controller, self.identifier,
             lambda t_ns, u: controller.inject(t_ns, u, excitation.at(t_ns)), on_estimate,
         )  # fmt: skip

@@ -26,7 +26,7 @@ from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live, Sample
 from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared
-from uav_ident_ros.simulation.rate_reference import PARAMETERS, Manoeuvres
+from uav_ident_ros.simulation.rate_reference import NORMAL, Manoeuvres
 
 DELAY = 0.02
 """From a sample to the surface that its command moves, s."""
@@ -159,7 +159,7 @@ def fly_loop(
     live = LiveAircraft(
         prepared.aircraft, mission.sensors, mission.delay, faults, mission.seed, speed=frame.speed
     )
-    guide = Manoeuvres(**PARAMETERS | {"airspeed": frame.speed, "seed": mission.seed})
+    guide = Manoeuvres(**NORMAL | {"airspeed": frame.speed, "seed": mission.seed})
     source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
     controller = make(source)
     nothing: FloatArray = np.empty(0)

@@ -34,10 +34,11 @@ from uav_ident_ros.client import (
     subscribe_excitation,
 )
 from uav_ident_ros.control import LAWS, Effect, Gains, RateController
+from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import header_ns, stamp_ns
 from uav_ident_ros.node.notices import without_numbers
-from uav_ident_ros.node.program import node_usage, read_parameters, run, spin
+from uav_ident_ros.node.program import read_parameters, run, spin, usage
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 AXES = ("roll", "pitch", "yaw")
@@ -49,29 +50,31 @@ ACQUAINTANCE_TIME, LOOK_PERIOD = 30.0, 0.05
 """In lock-step with a simulation: how long commands may wait for the identifier to be known, and
 how often that is looked at, s of wall clock."""
 
-PARAMETERS: dict[str, Any] = {
-    "law": "incremental",  # or inversion
-    "mode": "adaptive",  # or fixed: the nominal coefficients for ever
-    "nominal_file": "",  # coefficients.yaml of `replay`, the author's own; none: the first good set
-    "use_verdict": True,
-    "rate_gain": [5.0, 4.0, 2.0],  # acceleration per rate error of roll, pitch, yaw, 1/s
-    "bandwidth": 0.0,  # of the law's filter or observer, rad/s; 0 for its own, 20 or 8
-    "trim": [0.0, 0.0, 0.0, 0.0],  # elevator, rudder, aileron, throttle
-    "least": [-0.4, -0.25, -0.25, 0.0],
-    "largest": [0.4, 0.25, 0.25, 1.0],
-    "excitation_limit": [0.0, 0.0, 0.0, 0.0],  # largest that is ever added to de dr da dth
-    "delay": 0.02,  # s; another that the flight shows takes its place, adaptive
-    "coefficients_delay": 0.0,  # s; above 0.2 in lock-step with a simulation
-    "reference_delay": 0.0,  # s; two samples in lock-step with a simulation
-}
-"""Parameters and their defaults."""
-
-DELAYS = ("delay", "coefficients_delay", "reference_delay")
-LEAST = dict.fromkeys((*DELAYS, "rate_gain", "bandwidth", "excitation_limit"), 0.0)
-"""What they must not be below."""
-
-WORDS = {"law": list(LAWS), "mode": ["adaptive", "fixed"]}
-"""What they may be."""
+PARAMETERS = (
+    Setting("law", "str", "incremental", "", "How inputs are found.", choices=tuple(LAWS)),
+    Setting("mode", "str", "adaptive", "",
+        "What it flies on; fixed: the nominal coefficients for ever.",
+        choices=("adaptive", "fixed")),
+    Setting("nominal_file", "str", "", "",
+        "coefficients.yaml of `replay`, the author's own; none: the first good set."),
+    Setting("use_verdict", "bool", True, "", "Whether verdict/usable must be 1."),
+    Setting("rate_gain", "float[]", (5.0, 4.0, 2.0), "1/s",
+        "Acceleration per rate error of roll, pitch, yaw.", 0.0),
+    Setting("bandwidth", "float", 0.0, "rad/s",
+        "Of the law's filter or observer; 0 for its own, 20 or 8.", 0.0),
+    Setting("trim", "float[]", (0.0, 0.0, 0.0, 0.0), "", "Elevator, rudder, aileron, throttle."),
+    Setting("least", "float[]", (-0.4, -0.25, -0.25, 0.0), "", "Least of each."),
+    Setting("largest", "float[]", (0.4, 0.25, 0.25, 1.0), "", "Largest of each."),
+    Setting("excitation_limit", "float[]", (0.0, 0.0, 0.0, 0.0), "",
+        "Largest that is ever added to de dr da dth.", 0.0),
+    Setting("delay", "float", 0.02, "s",
+        "From a sample to the surface; another that the flight shows takes its place, adaptive.",
+        0.0),
+    Setting("coefficients_delay", "float", 0.0, "s",
+        "Above 0.2 in lock-step with a simulation.", 0.0),
+    Setting("reference_delay", "float", 0.0, "s",
+        "Two samples in lock-step with a simulation.", 0.0),
+)  # fmt: skip
 
 
 class ControllerExample(Node):
@@ -79,7 +82,7 @@ class ControllerExample(Node):
 
     def __init__(self) -> None:
         super().__init__("controller")
-        value = read_parameters(self, PARAMETERS, LEAST, WORDS)
+        value = read_parameters(self, PARAMETERS)
         self._value = value
         self._law = LAWS[value["law"]]
         self._adaptive = value["mode"] != "fixed"
@@ -229,8 +232,8 @@ def measured(controller: RateController) -> list[KeyValue]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status."""
-    usage = node_usage("controller_example", __doc__ or "", PARAMETERS)
-    return run("controller_example", ControllerExample, spin, args, usage)
+    text = usage("controller_example", __doc__ or "", PARAMETERS)
+    return run("controller_example", ControllerExample, spin, args, text)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program `identifier`, and ``python -m uav_ident_ros.node``."""
+"""Identify the attitude dynamics of an unmanned aircraft while it flies.
+
+topics in:   imu/data, actuators, excitation; airspeed and armed if their type is set
+topics out:  ~/coefficients_named, ~/coefficients, ~/predicted_rates, ~/prediction_error,
+             ~/excitation, /diagnostics
+services:    ~/reset, ~/save, ~/adapt, ~/excite
+exit status: 0, it was asked to end; 2, it was started wrongly, and one line says how
+"""
 
 import sys
 
@@ -9,10 +16,12 @@ from uav_ident_ros.node.ending import Ending
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status: 2 if it was started wrongly."""
     ending = Ending()  # before the imports, which take a second
+    from uav_ident_ros.identification.settings import declarations
     from uav_ident_ros.node.identifier_node import IdentifierNode, work
-    from uav_ident_ros.node.program import identifier_usage, run
+    from uav_ident_ros.node.program import run, usage
 
-    return run("identifier", IdentifierNode, work, args, identifier_usage(), ending)
+    text = usage("identifier", __doc__ or "", declarations())
+    return run("identifier", IdentifierNode, work, args, text, ending)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,10 @@
 """A node as a program: started or refused in one line, run until it is asked to end."""
 
 import itertools
-import math
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 import rclpy
@@ -29,7 +28,7 @@ from rclpy.utilities import remove_ros_args
 from uav_ident_ros.commandline import USAGE_ERROR
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError
 from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError, written
-from uav_ident_ros.identification.settings import Setting, SettingsError, declarations
+from uav_ident_ros.identification.settings import Setting, SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.notices import without_sources
@@ -178,41 +177,24 @@ usage: {} [--ros-args [--params-file FILE] [-p NAME:=VALUE] [-r FROM:=TO] ...]
 parameters, with their defaults:
 {}"""
 
-IDENTIFIER = """\
-Identify the attitude dynamics of an unmanned aircraft while it flies.
 
-topics in:   imu/data, actuators, excitation; airspeed and armed if their type is set
-topics out:  ~/coefficients_named, ~/coefficients, ~/predicted_rates, ~/prediction_error,
-             ~/excitation, /diagnostics
-services:    ~/reset, ~/save, ~/adapt, ~/excite
-exit status: 0, it was asked to end; 2, it was started wrongly, and one line says how"""
-
-
-def identifier_usage() -> str:
-    """Return the text of the identifier: how it is started, what it speaks, every parameter."""
+def usage(
+    name: str,  # Of the program
+    text: str,  # What it does
+    settings: Iterable[Setting],  # Its parameters
+) -> str:
+    """Return what ``--help`` prints: how a node is started, what it does, every parameter."""
     entries = []
-    for setting in declarations():
+    for setting in settings:
         unit = f" {setting.unit}" if setting.unit else ""
         meaning = textwrap.indent(textwrap.fill(setting.description, 76), " " * 6)
         entries.append(f"  {setting.name} = {written(setting.default)}{unit}\n{meaning}")
-    return USAGE.format("identifier", IDENTIFIER, "\n".join(entries))
-
-
-def node_usage(
-    name: str,  # Of the program
-    text: str,  # What it does; the docstring of its module
-    parameters: Mapping[str, Any],  # Names and defaults
-) -> str:
-    """Return the text of another node of this package."""
-    lines = (f"  {key} = {written(value)}" for key, value in parameters.items())
-    return USAGE.format(name, text.strip(), "\n".join(lines))
+    return USAGE.format(name, text.strip(), "\n".join(entries))
 
 
 def read_parameters(
-    node: Node,  # Another node of this package
-    defaults: Mapping[str, Any],  # By name; a list of numbers has as many of them
-    least: Mapping[str, float],  # What numbers must not be below, by name; anything if left out
-    words: Mapping[str, Sequence[str]],  # What a word may be, by name; any if left out
+    node: Node,  # Another node of this package than the identifier
+    settings: Iterable[Setting],  # A list of numbers has as many of them as its default
 ) -> dict[str, Any]:
     """Declare the parameters of a node; return their values by name.
 
@@ -221,14 +203,12 @@ def read_parameters(
     SettingsError
         If a value is not allowed; the message says what is.
     """
-    values = {name: node.declare_parameter(name, v).value for name, v in defaults.items()}
-    for name, default in defaults.items():
-        several = isinstance(default, list)
-        kind = type(default[0] if several else default).__name__ + "[]" * several
-        low, choices = least.get(name, -math.inf), tuple(words.get(name, ()))
-        Setting(name, kind, default, "", "", low, choices=choices).check(values[name])
-        if kind == "float[]" and len(values[name]) != len(default):
-            raise SettingsError(
-                f"'{name}' has {len(values[name])} values: {len(default)} are needed"
-            )
+    values: dict[str, Any] = {}
+    for setting in settings:
+        name, default = setting.name, setting.default
+        plain: Any = list(default) if isinstance(default, tuple) else default
+        value = values[name] = node.declare_parameter(name, plain).value
+        setting.check(value)
+        if setting.type == "float[]" and len(value) != len(plain):
+            raise SettingsError(f"'{name}' has {len(value)} values: {len(plain)} are needed")
     return values

@@ -34,10 +34,11 @@ from uav_ident_ros.client import (
 )
 from uav_ident_ros.guest import StepClock, listen
 from uav_ident_ros.identification.frames import quaternions
+from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FRAME_IDS, NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
-from uav_ident_ros.node.program import UsageError, node_usage, read_parameters, run
+from uav_ident_ros.node.program import UsageError, read_parameters, run, usage
 from uav_ident_ros.ros import to_stamp
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import Fault, parse_fault
@@ -64,29 +65,30 @@ UNLIMITED = [math.inf] * 4
 DEPTH = 50
 """Of the queues, all reliable: in step nothing may be lost."""
 
-PARAMETERS: dict[str, Any] = {
-    "aircraft": "c172p",  # "quadrotor", or as in uav_ident_ros/simulation/airframe.py
-    "speed": 0.0,  # true airspeed, m/s; 0 for the aircraft's own
-    "rate": 100.0,  # of the Imu and of the commands, Hz
-    "delay": 0.02,  # from the stamp of a sample to the surface that its command moves, s
-    "gyro_noise": 0.005,  # rms of a sample, rad/s
-    "gyro_bias": [0.002, -0.001, 0.001],  # FRD, rad/s
-    "accelerometer_noise": 0.05,  # rms of a sample, m/s^2
-    "airspeed_noise": 0.3,  # rms of a sample, m/s; below 0 for no sensor
-    "airspeed_bias": 0.3,  # m/s
-    "seed": 0,
-    "duration": 0.0,  # s; 0 for ever
-    "lock_step": True,
-    "excite_at": 0.0,  # s; when to ask the identifier to excite the aircraft; 0 for never
-    "faults": [""],  # as in uav_ident_ros/simulation/faults.py, with times
-    "wait_for_identifier": True,  # in step: for its coefficients too
-    "wait_for_reference": False,  # in step, before the first sample: for a rate_reference
-    "record_file": "",  # NumPy archive that is written at the end
-}
-"""Parameters and their defaults."""
-
-LEAST = dict.fromkeys(("seed", "duration", "excite_at", "speed"), 0.0)
-"""What they must not be below."""
+PARAMETERS = (
+    Setting("aircraft", "str", "c172p", "",
+        '"quadrotor", or an aircraft of uav_ident_ros/simulation/airframes, or its file.'),
+    Setting("speed", "float", 0.0, "m/s", "True airspeed; 0 for the aircraft's own.", 0.0),
+    Setting("rate", "float", 100.0, "Hz", "Of the Imu and of the commands."),
+    Setting("delay", "float", 0.02, "s",
+        "From the stamp of a sample to the surface that its command moves."),
+    Setting("gyro_noise", "float", 0.005, "rad/s", "Rms of a sample."),
+    Setting("gyro_bias", "float[]", (0.002, -0.001, 0.001), "rad/s", "Of p, q, r, FRD."),
+    Setting("accelerometer_noise", "float", 0.05, "m/s^2", "Rms of a sample."),
+    Setting("airspeed_noise", "float", 0.3, "m/s", "Rms of a sample; below 0 for no sensor."),
+    Setting("airspeed_bias", "float", 0.3, "m/s", "Constant error."),
+    Setting("seed", "int", 0, "", "Of everything random.", 0.0),
+    Setting("duration", "float", 0.0, "s", "Of the flight; 0 for ever.", 0.0),
+    Setting("lock_step", "bool", True, "", "Fly in step, or in real time."),
+    Setting("excite_at", "float", 0.0, "s",
+        "When to ask the identifier to excite the aircraft; 0 for never.", 0.0),
+    Setting("faults", "str[]", ("",), "",
+        "As in uav_ident_ros/simulation/faults.py, with times."),
+    Setting("wait_for_identifier", "bool", True, "", "In step: for its coefficients, too."),
+    Setting("wait_for_reference", "bool", False, "",
+        "In step, before the first sample: for a rate_reference."),
+    Setting("record_file", "str", "", "", "NumPy archive that is written at the end."),
+)  # fmt: skip
 
 RECORDED = (
     # A row for each Imu sample: s; true rates, those of the gyro and of the reference (NaN before
@@ -115,7 +117,7 @@ class PlantNode(Node):
     def __init__(self, ending: Ending) -> None:
         super().__init__("simulated_plant")
         self._ending = ending
-        self._value = value = read_parameters(self, PARAMETERS, LEAST, {})
+        self._value = value = read_parameters(self, PARAMETERS)
         as_they_are = ("rate", "gyro_noise", "accelerometer_noise", "airspeed_bias")
         sensors = Sensors(
             gyro_bias=tuple(value["gyro_bias"]),
@@ -386,9 +388,9 @@ def _vector(values: FloatArray) -> Vector3:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status: 2 if it was started wrongly."""
-    usage = node_usage("simulated_plant", __doc__ or "", PARAMETERS)
+    text = usage("simulated_plant", __doc__ or "", PARAMETERS)
     ending = Ending()
-    return run("simulated_plant", lambda: _make(ending), _fly, args, usage, ending)
+    return run("simulated_plant", lambda: _make(ending), _fly, args, text, ending)
 
 
 def _make(ending: Ending) -> PlantNode:

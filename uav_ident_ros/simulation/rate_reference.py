@@ -17,9 +17,10 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
-from uav_ident_ros.node.program import node_usage, read_parameters, run, spin
+from uav_ident_ros.node.program import read_parameters, run, spin, usage
 
 ANGLE_GAIN = 1.0
 """Rate of an angle per rad of its error, 1/s."""
@@ -95,17 +96,16 @@ def body_rates(angle_rates: FloatArray, roll: float, pitch: float, turn: float) 
     )
 
 
-PARAMETERS: dict[str, Any] = {
-    "bank": 0.5,  # rad
-    "pitch": 0.1,  # rad
-    "hold": [2.0, 4.0],  # s
-    "airspeed": 53.0,  # m/s
-    "seed": 0,
-}
-"""Parameters and their defaults."""
+PARAMETERS = (
+    Setting("bank", "float", 0.5, "rad", "Largest bank angle."),
+    Setting("pitch", "float", 0.1, "rad", "Largest change of the pitch angle."),
+    Setting("hold", "float[]", (2.0, 4.0), "s", "Shortest and longest time between changes.", 0.0),
+    Setting("airspeed", "float", 53.0, "m/s", "For coordinated turns.", 1.0),
+    Setting("seed", "int", 0, "", "Seed of the angles and times.", 0.0),
+)
 
-LEAST = {"hold": 0.0, "airspeed": 1.0, "seed": 0.0}
-"""What they must not be below."""
+NORMAL: dict[str, Any] = {setting.name: setting.default for setting in PARAMETERS}
+"""Manoeuvres by default."""
 
 
 def attitude(q: Quaternion) -> tuple[float, float]:
@@ -120,7 +120,7 @@ class RateReference(Node):
 
     def __init__(self) -> None:
         super().__init__("rate_reference")
-        value = read_parameters(self, PARAMETERS, LEAST, {})
+        value = read_parameters(self, PARAMETERS)
         low, high = value.pop("hold")
         self._manoeuvres = Manoeuvres(hold=(low, high), **value)
         self._first_ns = self._last_ns = 0
@@ -147,8 +147,8 @@ class RateReference(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status."""
-    usage = node_usage("rate_reference", __doc__ or "", PARAMETERS)
-    return run("rate_reference", RateReference, spin, args, usage)
+    text = usage("rate_reference", __doc__ or "", PARAMETERS)
+    return run("rate_reference", RateReference, spin, args, text)
 
 
 if __name__ == "__main__":
