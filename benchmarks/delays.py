@@ -40,7 +40,7 @@ from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment, sample_inputs
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, Autopilot, PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 
 DURATION = 90.0
@@ -94,10 +94,9 @@ def plant(
     segments = [
         Segment("multisine", start, until - start, PEAKS, seed=seed) for start, until in excitation
     ]
-    autopilot = SMALL_UAV_AUTOPILOT if closed else Autopilot()
     flight = PlantFlight(
         segments, duration, vehicle=vehicle("small_uav"), rate=200.0, max_step=2.5e-3,
-        delay=delay, time_constant=lag, gusts=ColouredNoise(gusts, 0.3), autopilot=autopilot,
+        delay=delay, time_constant=lag, gusts=ColouredNoise(gusts, 0.3), autopilot=closed,
         seed=seed,
     )  # fmt: skip
     return measure(flight.fly(), NOISY, seed)

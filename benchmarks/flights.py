@@ -29,7 +29,7 @@ from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
 
 DEFINITIONS = Path(__file__).with_name("flights.yaml")
@@ -72,7 +72,6 @@ NESTED = {
     "faults": (Fault, "fault"),
     "gusts": (ColouredNoise, "gusts"),
     "force": (ColouredNoise, "force"),
-    "autopilot": (Autopilot, "autopilot"),
 }
 
 

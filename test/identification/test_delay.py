@@ -35,7 +35,6 @@ from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 
 NOISY = Sensors(gyro_noise=0.02, accelerometer_noise=0.1)
@@ -70,16 +69,15 @@ def test_at_any_rate_of_the_imu(rate: float) -> None:
 
 
 def test_a_wrong_start_is_corrected_in_gusts_under_an_autopilot() -> None:
-    autopilot = SMALL_UAV_AUTOPILOT
-    flight = plant_flight(30.0, delay=0.06, gusts=ColouredNoise(0.3, 0.3), autopilot=autopilot)
+    flight = plant_flight(30.0, delay=0.06, gusts=ColouredNoise(0.3, 0.3), autopilot=True)
     assert found(flight, actuators__delay=0.2).delay == pytest.approx(0.06, abs=0.015)
 
 
 @pytest.mark.parametrize("gusts", [0.3, 1.0])
 def test_without_excitation_it_says_nothing(gusts: float) -> None:
     """The autopilot's answers to gusts tell of the autopilot, not of the delay."""
-    autopilot, air = SMALL_UAV_AUTOPILOT, ColouredNoise(gusts, 0.3)
-    flight = plant_flight(30.0, segments=(), delay=0.06, gusts=air, autopilot=autopilot)
+    air = ColouredNoise(gusts, 0.3)
+    flight = plant_flight(30.0, segments=(), delay=0.06, gusts=air, autopilot=True)
     identifier = found(flight, actuators__delay=0.04)
     assert identifier.delay == 0.04
     assert identifier.delay_confidence != "sure"
@@ -313,8 +311,8 @@ def test_what_a_hidden_lag_takes_from_an_input_is_its_attenuation() -> None:
 
 def test_the_delay_rests_when_the_excitation_ends() -> None:
     segments = (Segment("multisine", 0.0, 40.0, PLANT_AMPLITUDES, seed=1),)
-    autopilot, air = SMALL_UAV_AUTOPILOT, ColouredNoise(0.3, 0.3)
-    flight = plant_flight(75.0, segments=segments, delay=0.06, gusts=air, autopilot=autopilot)
+    air = ColouredNoise(0.3, 0.3)
+    flight = plant_flight(75.0, segments=segments, delay=0.06, gusts=air, autopilot=True)
     m = measure(flight, NOISY)
     identifier = OnlineIdentifier(settings(m, actuators__delay=0.0, actuators__estimate_delay=True))
     start, looks = int(m.imu_t_ns[0]), []

@@ -24,7 +24,7 @@ from uav_ident_ros.identification.samples import Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements
-from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, CoefficientChange
+from uav_ident_ros.simulation.plant import CoefficientChange
 
 STRUCTURE = "throttle_coupled"
 
@@ -304,7 +304,7 @@ def test_a_long_storm_under_an_autopilot_moves_nothing() -> None:
             duration,
             segments=(excitation,),
             gusts=ColouredNoise(rms, 0.3),
-            autopilot=SMALL_UAV_AUTOPILOT,
+            autopilot=True,
             seed=seed,
         )
 

@@ -14,7 +14,6 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT
 
 
 def flown(measurements: Measurements, **changes: Any) -> tuple[OnlineIdentifier, list[Estimate]]:
@@ -51,7 +50,7 @@ def quiet_after(seconds: float, **changes: Any) -> Measurements:
 
 
 def test_quiet_flight_teaches_next_to_nothing() -> None:
-    _, estimates = flown(quiet_after(20.0, autopilot=SMALL_UAV_AUTOPILOT))
+    _, estimates = flown(quiet_after(20.0, autopilot=True))
     at_pause = estimates[26 * 20]
     assert at_pause.state == "paused"
     assert at_pause.reason.startswith("too little excitation")

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
-from uav_ident_ros.simulation.plant import Autopilot, PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 
 SMALL_UAV = vehicle("small_uav")
 BIG = {"de": 0.25, "dr": 0.35, "da": 0.35, "dth": 0.3}
@@ -90,13 +90,12 @@ def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
 
 def test_the_autopilot_feeds_back_and_its_commands_are_recorded() -> None:
     start = (0.5, 0.4, 0.3)
-    pilot = Autopilot({"de/q": 0.1, "da/p": -0.05, "dr/r": 0.2}, {"de/q": 0.2})
-    spec = PlantFlight((), 2.0, vehicle=SMALL_UAV, initial_rates=start, autopilot=pilot)
-    free = dataclasses.replace(spec, autopilot=None).fly()
+    spec = PlantFlight((), 2.0, vehicle=SMALL_UAV, initial_rates=start, autopilot=True)
+    free = dataclasses.replace(spec, autopilot=False).fly()
     held = spec.fly()
-    np.testing.assert_allclose(held.inputs[0], [0.1 * 0.4, 0.2 * 0.3, -0.05 * 0.5, 0.0])
+    np.testing.assert_allclose(held.inputs[0], [0.05 * 0.4, 0.08 * 0.3, -0.03 * 0.5, 0.0])
     turned = held.rates[:30:10, 1].sum() * 0.01  # the autopilot's own integral of q
-    assert held.inputs[3, 0] == pytest.approx(0.1 * held.rates[30, 1] + 0.2 * turned)
+    assert held.inputs[3, 0] == pytest.approx(0.05 * held.rates[30, 1] + 0.15 * turned)
     early = slice(50, 300)
     assert np.all(np.abs(held.rates[early]).sum(axis=0) < np.abs(free.rates[early]).sum(axis=0))
     assert abs(held.rates[:, 1].sum()) < 0.8 * abs(free.rates[:, 1].sum())  # pitch comes back

@@ -19,7 +19,7 @@ from uav_ident_ros.simulation.inputs import INPUT_KINDS, ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Plan
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import SMALL_UAV_AUTOPILOT, VEHICLE_NAMES, PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import VEHICLE_NAMES, PlantFlight, vehicle
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 
 START = 2.0
@@ -164,7 +164,7 @@ def _vehicle_part(
     if options.plant == QUADROTOR.name:
         return QuadrotorFlight, AMPLITUDES, own
     own |= {"vehicle": vehicle(options.plant or VEHICLE_NAMES[0]), "force": FORCE_NOISE}
-    own["autopilot"] = SMALL_UAV_AUTOPILOT if options.autopilot else None
+    own["autopilot"] = options.autopilot
     return PlantFlight, dict(zip(INPUTS, PLANT_AMPLITUDES, strict=True)), own
 
 

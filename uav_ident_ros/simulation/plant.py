@@ -7,8 +7,8 @@ of the rates for modes up to 20 rad/s at the default step.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,34 +43,13 @@ DIVERGED = 1e3
 """Rate at which the plant counts as diverged, rad/s."""
 
 
-@dataclass(frozen=True)
-class Autopilot:
-    """Linear feedback, computed at each actuator sample from the true rates."""
+RATE_GAIN = np.array([[0.0, 0.05, 0.0], [0.0, 0.0, 0.08], [-0.03, 0.0, 0.0], [0.0, 0.0, 0.0]])
+ANGLE_GAIN = np.array([[0.0, 0.15, 0.0], [0.0, 0.0, 0.0], [-0.12, 0.0, 0.0], [0.0, 0.0, 0.0]])
+"""The autopilot, which holds the attitude of `small_uav`: de, dr, da, dth by p, q, r, rad per
+rad/s, and by their integrals, rad per rad."""
 
-    # ``"de/q"`` and so on: input per rate, rad per rad/s
-    rate_gain: Mapping[str, float] = field(default_factory=dict)
-    # The same for the integral of the rate, rad per rad
-    angle_gain: Mapping[str, float] = field(default_factory=dict)
-    limit: float = 0.5  # Largest command of any input, rad or throttle
-
-    def matrices(self) -> tuple[FloatArray, FloatArray]:
-        """Gains on the rates and on their integrals, each (4, 3)."""
-        return _gain_matrix(self.rate_gain), _gain_matrix(self.angle_gain)
-
-
-def _gain_matrix(gains: Mapping[str, float]) -> FloatArray:
-    matrix = np.zeros((len(INPUTS), len(RATES)))
-    for name, value in gains.items():
-        target, _, source = name.partition("/")
-        matrix[INPUTS.index(target), RATES.index(source)] = value
-    return matrix
-
-
-SMALL_UAV_AUTOPILOT = Autopilot(
-    rate_gain={"de/q": 0.05, "da/p": -0.03, "dr/r": 0.08},
-    angle_gain={"de/q": 0.15, "da/p": -0.12},
-)
-"""Holds the attitude of `small_uav`."""
+LARGEST_COMMAND = 0.5
+"""Largest command of any input under the autopilot, rad or throttle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +118,7 @@ class PlantFlight(Plan):
     force: ColouredNoise = CALM
     # (3,) Constant angular acceleration, rad/s^2: an aircraft out of trim
     moment: Sequence[float] = (0.0, 0.0, 0.0)
-    autopilot: Autopilot | None = None  # Feedback that is added to the excitation
+    autopilot: bool = False  # Whether feedback of the true rates is added to the excitation
     changes: tuple[CoefficientChange, ...] = ()  # Coefficients that change in flight
     # (4,) Trim of de, dr, da, dth: what the plain raw channels are at zero deviation
     trim: Sequence[float] = DEFAULT_TRIM
@@ -200,7 +179,6 @@ class _LivePlant(Live):
         self._plan = plan
         self._rates = [float(rate) for rate in plan.initial_rates]
         self._angles = np.zeros(len(RATES))
-        self._gains = (plan.autopilot or Autopilot()).matrices()
         self._acting = self._surfaces = np.zeros(len(INPUTS))
         lag = plan.time_constant
         self._half = math.exp(-0.5 / (rate * lag)) if lag else 0.0
@@ -220,13 +198,13 @@ class _LivePlant(Live):
         self._by_input, self._derivative = a[:, INPUT_COLUMNS], rates_derivative(a)
 
     def commanded(self, _: float, excitation: FloatArray) -> FloatArray:
-        """Excitation and feedback, within the autopilot's limit."""
-        if self._plan.autopilot is None:
+        """Excitation and feedback at an actuator sample."""
+        if not self._plan.autopilot:
             return excitation
-        x, limit = np.array(self._rates), self._plan.autopilot.limit
-        feedback = self._gains[0] @ x + self._gains[1] @ self._angles
+        x = np.array(self._rates)
+        feedback = RATE_GAIN @ x + ANGLE_GAIN @ self._angles
         self._angles = self._angles + x / self._plan.actuator_rate
-        return np.asarray(np.clip(excitation + feedback, -limit, limit))
+        return np.asarray(np.clip(excitation + feedback, -LARGEST_COMMAND, LARGEST_COMMAND))
 
     def _fly(self, acting: FloatArray, moved: bool) -> tuple[list[float], list[float]]:
         if self._changes and self._changes[0] <= self.time + 0.5 / self.rate:
