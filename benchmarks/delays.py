@@ -34,10 +34,10 @@ from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.sampling import Block, FlowSignals
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation import jsbsim_flight
 from uav_ident_ros.simulation.airframe import airframe
-from uav_ident_ros.simulation.inputs import ColouredNoise, Segment, sample_inputs
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
@@ -61,13 +61,6 @@ PIECE = 100
 
 SWEEP = (0.0, 0.04, 0.08, 0.1, 0.12, 0.16)
 """Fixed delays of the sweep over recorded flights, s."""
-
-
-class Told(NamedTuple):
-    """What one flight measured, and what was injected into it."""
-
-    measurements: Measurements
-    given: FloatArray  # (M, 4) Injected de, dr, da, dth, at the actuators' samples
 
 
 class Result(NamedTuple):
@@ -149,8 +142,8 @@ def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
                        yaw_damper=0.3))  # fmt: skip
 
 
-def told(kind: str, seed: int, delay: float, lag: float, gusts: float) -> Told:
-    """Fly one and say what was injected."""
+def told(kind: str, seed: int, delay: float, lag: float, gusts: float) -> Measurements:
+    """Fly one that is excited while an autopilot answers the gusts."""
     peaks, band = verdict_flights.PEAKS, (0.2, 2.0)
     if kind == "quadrotor":
         peaks, band = AMPLITUDES, (0.2, 4.0)
@@ -179,8 +172,7 @@ def told(kind: str, seed: int, delay: float, lag: float, gusts: float) -> Told:
         sensors = verdict_flights.SENSORS
     with verdict_flights.lagging(lag):
         flight = replace(plan.fly(), time_constant=lag)
-    given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9)
-    return Told(measure(flight, sensors, seed), given)
+    return measure(flight, sensors, seed)
 
 
 def told_trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
@@ -244,11 +236,11 @@ def held_line(h: Held) -> str:
     )
 
 
-def judged(trial: tuple[str, bool, Any]) -> Result:
+def judged(trial: tuple[str, bool, Any], is_told: bool) -> Result:
     """Fly one, and let the bank see it as the identifier's sampler cuts it."""
     name, excited, fly_it = trial
-    flown = fly_it()
-    m, given = flown if isinstance(flown, Told) else (flown, None)
+    m = fly_it()
+    given = m.flight.injected if is_told else None
     true = m.flight.delay + m.flight.time_constant
     structure = STRUCTURES["flight_dynamics"]
     speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
@@ -349,7 +341,8 @@ def main() -> None:
         return
     chosen = told_trials if options.told else trials
     todo = [trial for seed in range(1, options.seeds + 1) for trial in chosen(seed)]
-    print(*summary(bench.done(judged, todo, options.workers, line)), sep="\n")
+    look = partial(judged, is_told=options.told)
+    print(*summary(bench.done(look, todo, options.workers, line)), sep="\n")
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 from uav_ident_ros.simulation.flight import Flight
-from uav_ident_ros.simulation.inputs import Segment, sample_inputs
+from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import measure
 
 GUSTS = {"light": 0.3, "moderate": 0.8, "heavy": 1.5}
@@ -88,22 +88,21 @@ class Found:
     wrong: float  # ... and its control derivative off by more than half
 
 
-def fly(gusts: str, seed: int, excited: bool) -> tuple[Flight, tuple[Segment, ...]]:
+def fly(gusts: str, seed: int, excited: bool) -> Flight:
     """Fly it."""
     segments = (Segment("multisine", START, DURATION, PEAKS, 10.0, BAND, seed=seed),)
     spec = light_aircraft.LightFlight(
         segments if excited else (), DURATION, bank=20.0, gust=GUSTS[gusts],
         delay=verdict_flights.DELAY, seed=seed,
     )  # fmt: skip
-    return spec.fly(), spec.segments
+    return spec.fly()
 
 
-def identify(flight: Flight, segments: Sequence[Segment], seed: int) -> list[Estimate]:
+def identify(flight: Flight, seed: int) -> list[Estimate]:
     """Identify it as the node would, from nothing; return the estimates of all ticks."""
     case = cases.measured(measure(flight, verdict_flights.SENSORS, seed), "light", seed)
     identifier = OnlineIdentifier(case.settings({}))
-    given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9)
-    fed = cases.fed(case, identifier, given if segments else ())
+    fed = cases.fed(case, identifier, flight.injected if flight.excitation else ())
     return [estimate for _ in fed for estimate in identifier.advance()]
 
 
@@ -192,8 +191,8 @@ def drawn(covariance: FloatArray, seed: int) -> FloatArray:
 def judge(job: tuple[str, int, bool]) -> Found:
     """Fly, identify and bound one."""
     gusts, seed, excited = job
-    flight, segments = fly(*job)
-    estimates = identify(flight, segments, seed)
+    flight = fly(*job)
+    estimates = identify(flight, seed)
     truth = np.array([TRUTH[name] for name in DOMINANT])
     places = tuple(zip(*map(STRUCTURE.index, DOMINANT), strict=True))
     values = np.array([e.coefficients[places] for e in estimates])

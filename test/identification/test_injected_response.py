@@ -12,7 +12,7 @@ from uav_ident_ros.identification.delay import APART, LAGS, STEP, SYSTEMATIC_ERR
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.injected_response import Found, InjectedResponse
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.inputs import ColouredNoise, Segment, sample_inputs
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.quadrotor_flight import Body, QuadrotorFlight
 
@@ -112,9 +112,8 @@ def hovering(
         QuadrotorFlight(segments, 40.0, 500.0, delay=0.012, time_constant=lag, gusts=noise, seed=1)
     )
     m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, channels="quadrotor", stamped=True))
-    given = sample_inputs(segments, (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9).tolist()
-    stamps = m.actuator_t_ns.tolist()
-    added = [Message(t, "excitation", t, tuple(v)) for t, v in zip(stamps, given, strict=True)]
+    pairs = zip(m.actuator_t_ns.tolist(), flight.injected.tolist(), strict=True)
+    added = [Message(t, "excitation", t, tuple(values)) for t, values in pairs]
     own = {"actuators__delay": 0.0, "actuators__time_constant": in_use, **changes}
     identifier = OnlineIdentifier(settings(m, **own))
     run(identifier, sorted([*messages(m), *(added if told_it else [])], key=lambda m: m.arrival))

@@ -77,6 +77,7 @@ class Flight:
     # and acts `delay` later.
     actuator_t_ns: IntArray
     inputs: FloatArray  # (M, 4) Commands as deviations from trim, de, dr, da (rad), dth
+    injected: FloatArray  # (M, 4) Excitation, as a part of these: the rest is the autopilot's
     trim: FloatArray  # (4,) What is added to `inputs` on the plain channels
     delay: float = 0.0  # Transport delay from command to surface, s
     time_constant: float = 0.0  # First-order lag of the servos, s

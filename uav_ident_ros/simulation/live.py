@@ -238,6 +238,7 @@ class Live:
         common = {
             "t_ns": stamps(np.arange(plan.samples) / plan.rate),
             "actuator_t_ns": stamps(times),
+            "injected": excitation,
             "delay": plan.delay,
             "excitation": excited_intervals(plan.segments, (plan.samples - 1) / plan.rate),
         }
