@@ -190,16 +190,16 @@ def tuned(prepared: Prepared, name: str) -> float:
     return max(passed, default=FACTORS[0])
 
 
-def settles(prepared: Prepared, make: Make, effect: float = 2.0, seconds: float = 3.0) -> bool:
-    """Whether a step is followed on the identified model with so much more effect."""
+def settles(prepared: Prepared, make: Make) -> bool:
+    """Whether a step is followed for 3 s on the identified model with twice its effect."""
     nominal = nominal_of(prepared)
     source = CoefficientSource(Fallback.LAST_GOOD, nominal)
     controller = make(source)
     a = nominal.values[:3, RATE_COLUMNS]
-    b = effect * control_derivatives(nominal)[0]
+    b = 2.0 * control_derivatives(nominal)[0]
     x, dt, rates = np.zeros(3), 0.01, []
     underway = [np.zeros(4)] * round(DELAY / dt)
-    for k in range(round(seconds / dt)):
+    for k in range(round(3.0 / dt)):
         wanted = np.array([0.1, 0.05, 0.03])
         underway.append(controller.update(EPOCH_NS + round(k * dt * 1e9), x, wanted))
         u = underway.pop(0)
@@ -316,7 +316,7 @@ def campaign(
     everyone: bool,  # Whether the fixed ones fly where the adaptive one was not lost, too
     workers: int,
     folder: Path,  # For what takes long and does not change
-    end: float = float("inf"),  # Nothing new from this time of the steady clock on, s
+    end: float,  # Nothing new from this time of the steady clock on, s
 ) -> Iterator[dict[str, Any]]:
     """Fly what is missing; yield each flight."""
     done = {key(flight): flight for flight in flown}

@@ -11,15 +11,13 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 class Excitation:
     """The excitation that is asked for on ``~/excitation``.
 
-    A value counts from its stamp until the next one's. Without messages for `timeout` it is zero:
-    a node that died asks for nothing.
+    A value counts from its stamp until the next one's. Without messages for
+    `EXCITATION_TIMEOUT` it is zero: a node that died asks for nothing.
 
     Parameters
     ----------
     limit : (4,) array-like
         Largest magnitude of de, dr, da, dth that is ever added, in their units.
-    timeout : float
-        Time for which a value may count, s.
 
     Examples
     --------
@@ -31,11 +29,8 @@ class Excitation:
     [0.0, 0.0, 0.0, 0.0]
     """
 
-    def __init__(
-        self, limit: FloatArray | list[float], timeout: float = EXCITATION_TIMEOUT
-    ) -> None:
+    def __init__(self, limit: FloatArray | list[float]) -> None:
         self._limit = np.asarray(limit, dtype=np.float64)
-        self._timeout_ns = round(timeout * 1e9)
         self._requests: History[tuple[int, FloatArray]] = History()
 
     def add(self, t_ns: int, names: list[str], values: list[float]) -> None:
@@ -53,6 +48,6 @@ class Excitation:
     def at(self, t_ns: int) -> FloatArray:
         """Return what to add at `t_ns`: de, dr, da, dth, in their units."""
         newest = self._requests.at(t_ns)
-        if newest is None or t_ns - newest[0] > self._timeout_ns:
+        if newest is None or t_ns - newest[0] > EXCITATION_TIMEOUT * 1e9:
             return np.zeros(len(INPUTS))
         return newest[1].copy()

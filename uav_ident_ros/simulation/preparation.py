@@ -62,7 +62,6 @@ class Prepared:
 def prepare(
     name: str,  # As in `uav_ident_ros.simulation.airframe`
     speed: float | None = None,  # True airspeed in place of its own, m/s
-    seed: int = 0,  # Of the noise and of the multisines' phases
     time: float = EXCITED_TIME,  # Length of the flight that identifies it, s
 ) -> Prepared:
     """Trim, excite and identify an aircraft.
@@ -73,9 +72,9 @@ def prepare(
         If it cannot be flown or identified.
     """
     frame = airframe(name, speed)
-    segment = Segment("multisine", start=2.0, amplitudes=frame.excitation, seed=seed)
-    flight = AircraftFlight((segment,), time, aircraft=name, speed=speed, seed=seed).fly()
-    found = identify(measure(flight, SENSORS, seed), frame.speed)
+    segment = Segment("multisine", start=2.0, amplitudes=frame.excitation)
+    flight = AircraftFlight((segment,), time, aircraft=name, speed=speed).fly()
+    found = identify(measure(flight, SENSORS), frame.speed)
     live = LiveAircraft(name, SENSORS, speed=speed)
     return Prepared(name, frame, live.trim, live.aircraft.limits, widened(found))
 
