@@ -365,7 +365,8 @@ def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatAr
         own.append(time.thread_time() - began)
 
     setattr(identifier.estimator, "update", timed)  # noqa: B010  (a method, to the type checker)
-    for _ in cases.fed(case, identifier):
+    for message in case.messages(identifier):
+        message.give(identifier)
         while (due := identifier.intake.due) is not None:
             began = time.thread_time()
             identifier.update(due)

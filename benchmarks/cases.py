@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights as the identifier sees them, one pass over them, and the score of what came out."""
 
-import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
-from itertools import islice
-from operator import itemgetter
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +25,14 @@ from uav_ident_ros.identification.prediction import (
     score_windows,
     window_errors,
 )
+from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, EXCITATION
 from uav_ident_ros.identification.sampling import Block, InputMap, Sampler
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.messages.feed import IMU_TYPE
 from uav_ident_ros.messages.types import RATES
 from uav_ident_ros.simulation.flight import Flight
-from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.noise import Measurements, Message, Samples, fed
 from uav_ident_ros.simulation.recording import parameters
 
 TimeArray = NDArray[np.int64]
@@ -79,21 +78,26 @@ class Case:
     name: str  # Name of the flight
     seed: int | None  # Seed of a simulated one
     parameters: dict[str, Any]  # Settings that fit its topics
-    # imu_t_ns, imu_arrival_ns: (N,) Stamps and arrival of the Imu samples, ns
-    imu_t_ns: TimeArray
-    imu_arrival_ns: TimeArray
-    # rates, force: (N, 3) In the Imu's axes, rad/s and m/s^2
-    rates: FloatArray
-    force: FloatArray
-    # actuator_t_ns, actuator_arrival_ns: (M,) The same of the actuators
-    actuator_t_ns: TimeArray
-    actuator_arrival_ns: TimeArray
-    actuators: FloatArray  # (M, C) Raw channels
-    # airspeed_t_ns, airspeed: (K,) Arrival, ns, and airspeed of a recorded one, m/s
-    airspeed_t_ns: TimeArray = field(default_factory=lambda: np.array([], dtype=np.int64))
-    airspeed: FloatArray = field(default_factory=lambda: np.array([]))
-    true_rates: FloatArray | None = None  # (N, 3) Noise-free p, q, r, FRD, rad/s
-    flight: Flight | None = None  # What really happened
+    samples: Samples  # What arrives
+
+    @property
+    def flight(self) -> Flight | None:
+        """What really happened; None of a recorded one."""
+        return self.samples.flight if isinstance(self.samples, Measurements) else None
+
+    def messages(
+        self,
+        identifier: OnlineIdentifier,  # Who reads them; the airspeed only if its type is set
+        given: Iterable[FloatArray] = (),  # What was added to excite, one for each actuator sample
+    ) -> Iterator[Message]:
+        """Yield what arrives, in that order."""
+        excitation = iter(given)
+        for message in self.samples.messages():
+            if message.stream != AIRSPEED or identifier.settings.airspeed.type:
+                yield message
+            if message.stream == ACTUATORS:
+                for added in islice(excitation, 1):
+                    yield message._replace(stream=EXCITATION, values=tuple(added.tolist()))
 
     def settings(self, values: Mapping[str, object]) -> Settings:
         """Return settings that fit the topics, with `values`."""
@@ -102,18 +106,19 @@ class Case:
     def measured(self, settings: Settings) -> tuple[FloatArray, FloatArray]:
         """Return p, q, r (N, 3) and ay, az (N, 2), FRD."""
         frame = BodyFrame(settings.imu)
-        return frame.to_body(self.rates), frame.to_body(self.force)[:, 1:]
+        m = self.samples
+        return frame.to_body(m.rates), frame.to_body(m.specific_force)[:, 1:]
 
     def blocks(self, settings: Settings, given: FloatArray | None = None) -> list[Block]:
         """Bring the signals on the identifier's own grid, joined up to each restart.
 
         With what was injected, (M, 4), at the actuators' samples.
         """
-        sampler = Sampler(settings)
-        sampler.rates.t, sampler.rates.v = self.imu_t_ns, np.hstack([self.rates, self.force])
-        sampler.raw_inputs.t, sampler.raw_inputs.v = self.actuator_t_ns, self.actuators
+        sampler, m = Sampler(settings), self.samples
+        sampler.rates.t, sampler.rates.v = m.imu_t_ns, np.hstack([m.rates, m.specific_force])
+        sampler.raw_inputs.t, sampler.raw_inputs.v = m.actuator_t_ns, m.actuators
         if given is not None:
-            sampler.injected.t, sampler.injected.v = self.actuator_t_ns, given
+            sampler.injected.t, sampler.injected.v = m.actuator_t_ns, given
         return list(sampler.blocks())
 
 
@@ -125,20 +130,7 @@ def simulated(name: str, seed: int | None = None, **sensor_changes: Any) -> Case
 
 def measured(m: Measurements, name: str, seed: int | None) -> Case:
     """Return a simulated flight as its sensors saw it."""
-    return Case(
-        name=name,
-        seed=seed,
-        parameters=parameters(m),
-        imu_t_ns=m.imu_t_ns,
-        imu_arrival_ns=m.imu_log_ns,
-        rates=m.rates,
-        force=m.specific_force,
-        actuator_t_ns=m.actuator_t_ns if m.sensors.stamped else m.actuator_log_ns,
-        actuator_arrival_ns=m.actuator_log_ns,
-        actuators=m.actuators,
-        true_rates=m.true_rates,
-        flight=m.flight,
-    )
+    return Case(name, seed, parameters(m), m)
 
 
 def is_recorded(name: str) -> bool:
@@ -163,27 +155,27 @@ def recorded(name: str) -> Case:
                 actuators.append((log_ns, list(message.data)))
             else:
                 airspeed.append((log_ns, message.data))
-    stamps = np.array([row[0] for row in imu], dtype=np.int64)
     arrivals = np.array([row[0] for row in actuators], dtype=np.int64)
     first = np.unique(arrivals, return_index=True)[1]
-    return Case(
-        name=name,
-        seed=None,
-        parameters={
-            "actuators.channels": (0, 1, 2, 3),
-            "actuators.delay": RECORDED_DELAY.get(name, 0.0),
-            "airspeed.reference": RECORDED_SPEED,
-        },
-        imu_t_ns=stamps,
-        imu_arrival_ns=np.array([row[1] for row in imu], dtype=np.int64),
+    spoken = np.array([row[0] for row in airspeed], dtype=np.int64)
+    known = {
+        "actuators.channels": (0, 1, 2, 3),
+        "actuators.delay": RECORDED_DELAY.get(name, 0.0),
+        "airspeed.reference": RECORDED_SPEED,
+    }
+    samples = Samples(
+        imu_t_ns=np.array([row[0] for row in imu], dtype=np.int64),
+        imu_log_ns=np.array([row[1] for row in imu], dtype=np.int64),
         rates=np.array([row[2] for row in imu]),
-        force=np.array([row[3] for row in imu]),
+        specific_force=np.array([row[3] for row in imu]),
         actuator_t_ns=arrivals[first],
-        actuator_arrival_ns=arrivals[first],
+        actuator_log_ns=arrivals[first],
         actuators=np.array([row[1] for row in actuators])[first],
-        airspeed_t_ns=np.array([row[0] for row in airspeed], dtype=np.int64),
+        airspeed_t_ns=spoken,
+        airspeed_log_ns=spoken,
         airspeed=np.array([row[1] for row in airspeed]),
     )
+    return Case(name, None, known, samples)
 
 
 def load(name: str, seed: int | None = None) -> Case:
@@ -236,19 +228,18 @@ def identify(
     if make is not None:
         own = make(identifier.structure, settings)
         identifier = OnlineIdentifier(settings, estimator=lambda *_: own)
-    start = int(case.imu_t_ns[0])
-    end = case.imu_arrival_ns[-1] if np.isinf(until) else start + round(until * 1e9)
+    m = case.samples
+    start = int(m.imu_t_ns[0])
+    end = m.imu_log_ns[-1] if np.isinf(until) else start + round(until * 1e9)
     estimates, learning, delays = [], [], []
     changes: list[tuple[float, int, int]] = []
-    for arrival in fed(case, identifier):
-        if arrival > end:
-            break
-        for estimate in identifier.advance():
-            estimates.append(estimate)
-            learning.append(identifier.supervisor.learning)
-            delays.append(identifier.delay)
-            for change in identifier.supervisor.changed[len(changes) :]:
-                changes.append((change.t - start * 1e-9, *identifier.structure.index(change.name)))
+    arrived = takewhile(lambda message: message.arrival_ns <= end, case.messages(identifier))
+    for estimate in fed(identifier, arrived):
+        estimates.append(estimate)
+        learning.append(identifier.supervisor.learning)
+        delays.append(identifier.delay)
+        for change in identifier.supervisor.changed[len(changes) :]:
+            changes.append((change.t - start * 1e-9, *identifier.structure.index(change.name)))
     t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
     return Track(
         settings=settings,
@@ -263,45 +254,6 @@ def identify(
     )
 
 
-def fed(
-    case: Case,
-    identifier: OnlineIdentifier,
-    given: Iterable[FloatArray] = (),  # What was added to excite, one for each actuator sample
-) -> Iterator[int]:
-    """Give an identifier a flight; yield the arrival of each rates sample, which may be due."""
-    excitation = iter(given)
-    for arrival, kind, t, v in messages(case):
-        if kind == RATES_TOPIC:
-            identifier.add_rates(t, v[:3], v[3:])
-            yield arrival
-        elif kind == AIRSPEED_TOPIC:
-            if identifier.settings.airspeed.type:
-                identifier.add_airspeed(t, *v)
-        else:
-            identifier.add_actuators(t, v)
-            for added in islice(excitation, 1):
-                identifier.add_excitation(t, added.tolist())
-
-
-def messages(case: Case) -> Any:
-    """Yield (arrival, topic, stamp, values) in the order of arrival, rates last."""
-    streams = (
-        (ACTUATORS_TOPIC, case.actuator_arrival_ns, case.actuator_t_ns, case.actuators),
-        (AIRSPEED_TOPIC, case.airspeed_t_ns, case.airspeed_t_ns, case.airspeed[:, None]),
-        (
-            RATES_TOPIC,
-            case.imu_arrival_ns,
-            case.imu_t_ns,
-            np.concatenate([case.rates, case.force], axis=1),
-        ),
-    )
-    listed = [
-        zip(arrival.tolist(), (topic,) * len(t_ns), t_ns.tolist(), values.tolist(), strict=True)
-        for topic, arrival, t_ns, values in streams
-    ]
-    return heapq.merge(*listed, key=itemgetter(0))
-
-
 def constant_track(case: Case, settings: Settings, coefficients: FloatArray) -> Track:
     """Return the track of coefficients, shape (3, n), that stay as they are."""
     t_ns = _ticks(case, settings)
@@ -310,7 +262,7 @@ def constant_track(case: Case, settings: Settings, coefficients: FloatArray) -> 
     return Track(
         settings=settings,
         t_ns=t_ns,
-        time=(t_ns - case.imu_t_ns[0]) * 1e-9,
+        time=(t_ns - case.samples.imu_t_ns[0]) * 1e-9,
         coefficients=still,
         sigma=np.zeros_like(still),
         learning=np.zeros((count, 3), dtype=bool),
@@ -321,8 +273,9 @@ def constant_track(case: Case, settings: Settings, coefficients: FloatArray) -> 
 
 def _ticks(case: Case, settings: Settings) -> TimeArray:
     period = round(1e9 / settings.update_rate)
-    first = -(-int(case.imu_t_ns[0]) // period)
-    return np.arange(first * period, int(case.imu_t_ns[-1]), period, dtype=np.int64)
+    t_ns = case.samples.imu_t_ns
+    first = -(-int(t_ns[0]) // period)
+    return np.arange(first * period, int(t_ns[-1]), period, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -353,33 +306,32 @@ def score(case: Case, track: Track) -> Fits:
     rates, force = case.measured(track.settings)
     found = _fit(case, track, rates, force)
     truth = np.full(3, np.nan)
-    if case.true_rates is not None:
-        true = _fit(case, track, case.true_rates, force)
+    if isinstance(case.samples, Measurements):
+        true = _fit(case, track, case.samples.true_rates, force)
         truth = given_force(true.model, true.measured_force)
     return Fits(found.model, found.hold, found.free, found.measured_force, truth)
 
 
 def _fit(case: Case, track: Track, rates: FloatArray, force: FloatArray) -> Any:
-    actuators = track.settings.actuators
-    u = InputMap(actuators).apply(case.actuators)
-    span = int(case.imu_t_ns[-1] - case.imu_t_ns[0])
-    late = track.t_ns >= case.imu_t_ns[-1] - round(0.4 * span)  # no other window counts here
+    actuators, m = track.settings.actuators, case.samples
+    u = InputMap(actuators).apply(m.actuators)
+    first, last = int(m.imu_t_ns[0]), int(m.imu_t_ns[-1])
+    late = track.t_ns >= last - round(0.4 * (last - first))  # no other window counts here
     parts = []
     for delay in np.unique(track.delay[late]):
         chosen = late & (track.delay == delay)
         parts.append(
             window_errors(
                 Flown(
-                    case.imu_t_ns,
+                    m.imu_t_ns,
                     rates,
-                    InputSignal(case.actuator_t_ns, u, float(delay), actuators.time_constant),
+                    InputSignal(m.actuator_t_ns, u, float(delay), actuators.time_constant),
                     force,
                     np.array(track.settings.imu.lever_arm),
                 ),
                 track.published().chosen(chosen),
             )
         )
-    first, last = int(case.imu_t_ns[0]), int(case.imu_t_ns[-1])
     return score_windows(WindowErrors.join(parts), first, last)[LAST_PART]
 
 

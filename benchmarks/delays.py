@@ -109,7 +109,7 @@ def quadrotor(seed: int, delay: float, gusts: float) -> Measurements:
     flight = QuadrotorFlight(
         segments, DURATION, 500.0, delay=delay, gusts=ColouredNoise(gusts, 0.3), seed=seed
     )
-    return measure(flight.fly(), replace(NOISY, rate=100.0, channels="quadrotor"), seed)
+    return measure(flight.fly(), replace(NOISY, rate=100.0), seed)
 
 
 def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
@@ -158,7 +158,7 @@ def told(kind: str, seed: int, delay: float, lag: float, gusts: float) -> Measur
         plan = QuadrotorFlight(
             segments, EXCITED + 2.0, 500.0, time_constant=lag, gusts=air, **common
         )
-        sensors = replace(NOISY, rate=100.0, channels="quadrotor")
+        sensors = replace(NOISY, rate=100.0)
     elif kind == "light":
         plan = LightFlight(
             segments, EXCITED + 2.0, bank=20.0, gust=gusts, time_constant=lag, **common

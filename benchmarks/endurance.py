@@ -16,6 +16,7 @@ import numpy as np
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.simulation.noise import Message, Samples
 
 FLIGHT = "exact_quiet_gusts_03"
 
@@ -24,18 +25,18 @@ MARGIN = 1.0
 """Flown beyond the last hour, s: a tick waits for the samples that follow it."""
 
 
-def messages(case: cases.Case, duration: float) -> Iterator[tuple[bool, int, list[float]]]:
-    """Yield (is rates, stamp, values) of the flight again and again, for `duration` s."""
-    flight = [(topic == cases.RATES_TOPIC, t, v) for _, topic, t, v in cases.messages(case)]
-    start = int(case.imu_t_ns[0])
-    period = int(case.imu_t_ns[-1]) - start + int(np.median(np.diff(case.imu_t_ns)))
+def messages(flown: Samples, duration: float) -> Iterator[Message]:
+    """Yield the messages of the flight again and again, for `duration` s."""
+    flight, t_ns = list(flown.messages()), flown.imu_t_ns
+    start = int(t_ns[0])
+    period = int(t_ns[-1]) - start + int(np.median(np.diff(t_ns)))
     lap = 0
     while True:
-        for is_rates, t, v in flight:
-            now = t + lap * period
+        for message in flight:
+            now = message.t_ns + lap * period
             if (now - start) * 1e-9 > duration:
                 return
-            yield is_rates, now, v
+            yield message._replace(t_ns=now)
         lap += 1
 
 
@@ -59,13 +60,10 @@ def main() -> None:
     truth = cases.truth_in(identifier.structure, case.flight)
     dominant = tuple(np.array([identifier.structure.index(n) for n in cases.DOMINANT]).T)
     times: list[float] = []
-    hour, start = 1, int(case.imu_t_ns[0])
+    hour, start = 1, int(case.samples.imu_t_ns[0])
     print(f"memory at the start, the flight in it, {bench.resident_mb():.1f} MiB")
-    for is_rates, t, v in messages(case, options.hours * HOUR + MARGIN):
-        if not is_rates:
-            identifier.add_actuators(t, v)
-            continue
-        identifier.add_rates(t, v[:3], v[3:])
+    for message in messages(case.samples, options.hours * HOUR + MARGIN):
+        message.give(identifier)
         while (due := identifier.intake.due) is not None:
             began = time.thread_time()
             estimate = identifier.update(due)

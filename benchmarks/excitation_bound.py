@@ -40,7 +40,7 @@ from uav_ident_ros.identification.structure import (
 )
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.noise import measure
+from uav_ident_ros.simulation.noise import fed, measure
 
 GUSTS = {"light": 0.3, "moderate": 0.8, "heavy": 1.5}
 """Wind on each axis, m/s rms, at 20 m/s."""
@@ -102,8 +102,8 @@ def identify(flight: Flight, seed: int) -> list[Estimate]:
     """Identify it as the node would, from nothing; return the estimates of all ticks."""
     case = cases.measured(measure(flight, verdict_flights.SENSORS, seed), "light", seed)
     identifier = OnlineIdentifier(case.settings({}))
-    fed = cases.fed(case, identifier, flight.injected if flight.excitation else ())
-    return [estimate for _ in fed for estimate in identifier.advance()]
+    given = flight.injected if flight.excitation else ()
+    return list(fed(identifier, case.messages(identifier, given)))
 
 
 def covariances(flight: Flight, gust: float) -> FloatArray:

@@ -26,7 +26,7 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.offline.run import run_over
-from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.noise import Measurements, fed
 from uav_ident_ros.simulation.recording import PARAMETER_FILE, write_bag
 
 MAIN = ("pdot/da", "qdot/de", "rdot/dr")
@@ -128,11 +128,10 @@ def run(trial: Trial, structure_name: str) -> Outcome:
         identifier = OnlineIdentifier(settings, initial)
         both = [
             (estimate, estimate.fit < identifier.running_fit.hold)
-            for _ in cases.fed(case, identifier)
-            for estimate in identifier.advance()
+            for estimate in fed(identifier, case.messages(identifier))
         ]
         estimates, losing = [e for e, _ in both], np.array([worse for _, worse in both])
-    time = np.array([(e.t_ns - int(case.imu_t_ns[0])) * 1e-9 for e in estimates])
+    time = np.array([(e.t_ns - int(case.samples.imu_t_ns[0])) * 1e-9 for e in estimates])
     values = np.array([e.coefficients for e in estimates])
     sigma = np.array([e.sigma for e in estimates])
     usable = np.array([e.usable_rows for e in estimates], dtype=bool)

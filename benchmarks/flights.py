@@ -22,7 +22,6 @@ from bench import BUILD
 
 from uav_ident_ros import simulation
 from uav_ident_ros.simulation.airframe import build
-from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight, SimulationError
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
@@ -30,6 +29,7 @@ from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
+from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
 
 DEFINITIONS = Path(__file__).with_name("flights.yaml")
@@ -87,7 +87,7 @@ def plan_of(
     if ("plant" in values) == ("aircraft" in values):
         raise SimulationError("it must have either 'plant' or 'aircraft'")
     kind: type[Plan] = AircraftFlight
-    if (name := values.pop("plant", "")) == QUADROTOR.name:
+    if (name := values.pop("plant", "")) == QUADROTOR:
         kind = QuadrotorFlight
     elif name:
         kind, values["vehicle"] = PlantFlight, vehicle(name)

@@ -14,7 +14,6 @@ before and after.
 
 from __future__ import annotations
 
-import itertools
 import multiprocessing
 import os
 import struct
@@ -29,9 +28,10 @@ import flights
 import numpy as np
 
 from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.identification.samples import ACTUATORS, RATES
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.process import NodeProcess
-from uav_ident_ros.simulation.recording import actuator_messages, imu_messages
+from uav_ident_ros.simulation.recording import as_message
 
 FLIGHT = "exact_noise_002"
 ACTUATOR_EVERY = 2
@@ -60,15 +60,13 @@ def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, byte
     """Messages of the flight with the time since its start, ns, in order; without stamps."""
     flight = flights.load(FLIGHT, rate=imu_rate)
     start = int(flight.imu_t_ns[0])
+    flown, every = list(flight.messages()), {RATES: 1, ACTUATORS: ACTUATOR_EVERY}
     found = []
-    for topic, every, read in (
-        ("imu", 1, imu_messages), ("actuators", ACTUATOR_EVERY, actuator_messages)
-    ):  # fmt: skip
-        chosen = itertools.islice(read(flight), 0, None, every)
-        for _, _, message in chosen:
-            t_ns = header_ns(message) - start
+    for stream, step in every.items():
+        for sample in [one for one in flown if one.stream == stream][::step]:
+            message = as_message(sample, flight)
             data = jazzy_types().serialize_cdr(message, message.__msgtype__)
-            found.append((t_ns, topic, bytearray(data)))
+            found.append((sample.t_ns - start, stream, bytearray(data)))
     found.sort(key=lambda item: item[0])
     return (item for item in found if 0 <= item[0] <= seconds * 1e9)
 
@@ -82,8 +80,8 @@ def publish(imu_rate: float, seconds: float, ready: object, sent: Queue[dict[str
     rclpy.init()
     node = rclpy.create_node("flight")
     publishers = {
-        "imu": node.create_publisher(Imu, "imu/data", 1000),
-        "actuators": node.create_publisher(JointState, "actuators", 1000),
+        RATES: node.create_publisher(Imu, "imu/data", 1000),
+        ACTUATORS: node.create_publisher(JointState, "actuators", 1000),
     }
     while not all(p.get_subscription_count() for p in publishers.values()):
         time.sleep(0.05)

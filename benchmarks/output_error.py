@@ -212,7 +212,7 @@ def fit(
         The coefficients.
     """
     free = start_from(settings).free
-    first, last = float(case.imu_t_ns[0]), float(case.imu_t_ns[-1])
+    first, last = float(case.samples.imu_t_ns[0]), float(case.samples.imu_t_ns[-1])
     windows = cut_windows(case.blocks(settings), first, first + part * (last - first))
     outcomes = []
     for start in starts:

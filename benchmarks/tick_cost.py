@@ -18,6 +18,8 @@ import cases
 import numpy as np
 from bench import ROOT
 
+from uav_ident_ros.identification.samples import AIRSPEED, RATES
+
 BESIDE = "f99fd36"
 """The last commit before `flight_dynamics`."""
 
@@ -51,12 +53,12 @@ print(json.dumps([1e3 * np.mean(times), *(1e3 * np.percentile(times, [50, 99]))]
 def messages(case: cases.Case, path: Path) -> None:
     """Keep the messages of a flight, in the order of their arrival."""
     listed = [
-        (topic == cases.RATES_TOPIC, t, np.resize(v, 6))
-        for _, topic, t, v in cases.messages(case)
-        if topic != cases.AIRSPEED_TOPIC
+        (stream == RATES, t, np.resize(v, 6))
+        for _, stream, t, v in case.samples.messages()
+        if stream != AIRSPEED
     ]
     kind, t, v = (np.array(column) for column in zip(*listed, strict=True))
-    np.savez(path, kind=kind, t=t, v=v, channels=case.actuators.shape[1])
+    np.savez(path, kind=kind, t=t, v=v, channels=case.samples.actuators.shape[1])
 
 
 def run(root: Path, path: Path, parameters: str) -> list[float]:

@@ -39,8 +39,8 @@ def compare(case: cases.Case, airspeed: str) -> None:
     track = cases.identify(case, {"structure": "flight_dynamics", "airspeed.type": airspeed})
     assert track.flow is not None
     t = np.asarray(track.t_ns) * 1e-9
-    vanes = recorded_vanes()
-    speed = np.interp(t, case.airspeed_t_ns * 1e-9, case.airspeed)
+    vanes, m = recorded_vanes(), case.samples
+    speed = np.interp(t, m.airspeed_t_ns * 1e-9, m.airspeed)
     air = (speed > FLYING) & (track.time > SETTLED)
     band = butter(2, BAND, "bandpass", fs=2.0 * np.pi * (len(t) - 1) / (t[-1] - t[0]), output="sos")
 
@@ -51,9 +51,9 @@ def compare(case: cases.Case, airspeed: str) -> None:
         return np.array([np.interp(t - delay, t_ns * 1e-9, signal) for signal in signals.T])
 
     actuators = track.settings.actuators
-    forces = at_ticks(case.imu_t_ns, case.measured(track.settings)[1])
-    inputs = InputMap(actuators).apply(case.actuators)
-    surfaces = at_ticks(case.actuator_t_ns, inputs, actuators.delay)
+    forces = at_ticks(m.imu_t_ns, case.measured(track.settings)[1])
+    inputs = InputMap(actuators).apply(m.actuators)
+    surfaces = at_ticks(m.actuator_t_ns, inputs, actuators.delay)
     if airspeed:
         forces *= (cases.RECORDED_SPEED / np.maximum(speed, FLYING)) ** 2
     for k, (name, label) in enumerate((("beta", "dr"), ("alpha", "de"))):

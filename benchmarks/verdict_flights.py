@@ -405,7 +405,7 @@ def _two_publishers(measured: Measurements) -> Measurements:
     """Let a second program publish trim, at the same rate."""
     half = np.diff(measured.actuator_t_ns)[0] // 2
     both = np.repeat(measured.actuators, 2, axis=0)
-    both[1::2] = measured.channel_trim
+    both[1::2] = measured.flight.channel_trim
     t_ns = np.repeat(measured.actuator_t_ns, 2)
     t_ns[1::2] += half
     return replace(measured, actuators=both, actuator_t_ns=t_ns, actuator_log_ns=t_ns)

@@ -22,7 +22,6 @@ from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.recording import parameters
 
 STRUCTURE = STRUCTURES["throttle_coupled"]
 PAPER = {"structure": STRUCTURE.name}
@@ -36,11 +35,7 @@ def flight() -> Flight:
 
 
 def case_of(flight: Flight, **sensors: Any) -> cases.Case:
-    m = measure(flight, Sensors(**sensors), seed=1)
-    return cases.Case(
-        "test", 1, parameters(m), m.imu_t_ns, m.imu_log_ns, m.rates, m.specific_force,
-        m.actuator_t_ns, m.actuator_log_ns, m.actuators, m.true_rates, flight,
-    )  # fmt: skip
+    return cases.measured(measure(flight, Sensors(**sensors), seed=1), "test", 1)
 
 
 def test_output_error_recovers_the_truth_without_noise(flight: Flight) -> None:

@@ -2,7 +2,7 @@
 """Measured flights fed to the identifier, as tests need them."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from light_aircraft import LightFlight
@@ -14,21 +14,12 @@ from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import Plan
-from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.noise import Measurements, Message, Sensors, fed, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
 
 AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
 DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
-
-
-class Message(NamedTuple):
-    """A sample and when it arrives, ns."""
-
-    arrival: int
-    stream: str
-    t_ns: int
-    values: tuple[float, ...]
 
 
 _FLOWN: dict[str, Flight] = {}
@@ -85,43 +76,13 @@ def settings(measurements: Measurements, **changes: Any) -> Settings:
 
 
 def messages(measurements: Measurements) -> list[Message]:
-    """All messages in the order of arrival; unstamped ones carry their arrival."""
-    m = measurements
-    force = m.specific_force.tolist()
-    out = [
-        Message(arrival, "rates", t, (*x, *f))
-        for arrival, t, x, f in zip(
-            m.imu_log_ns.tolist(), m.imu_t_ns.tolist(), m.rates.tolist(), force, strict=True
-        )
-    ]
-    stamps = m.actuator_t_ns if m.sensors.stamped else m.actuator_log_ns
-    out += [
-        Message(arrival, "actuators", t, tuple(v))
-        for arrival, t, v in zip(
-            m.actuator_log_ns.tolist(), stamps.tolist(), m.actuators.tolist(), strict=True
-        )
-    ]
-    return sorted(out, key=lambda message: (message.arrival, message.stream))
-
-
-def give(identifier: OnlineIdentifier, stream: str, t_ns: int, values: tuple[float, ...]) -> object:
-    """Hand a sample of any stream over; why it was dropped, if it was."""
-    if stream == "rates":
-        return identifier.add_rates(t_ns, values[:3], values[3:] or None)
-    if stream == "armed":
-        return identifier.add_armed(t_ns, bool(values[0]))
-    if stream == "airspeed":
-        return identifier.add_airspeed(t_ns, *values[:1])
-    return getattr(identifier, f"add_{stream}")(t_ns, values)
+    """All messages in the order of arrival."""
+    return list(measurements.messages())
 
 
 def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimate]:
     """Feed messages and compute every tick as soon as it is due."""
-    estimates = []
-    for message in stream:
-        give(identifier, *message[1:])
-        estimates += identifier.advance()
-    return estimates
+    return list(fed(identifier, stream))
 
 
 def identified(

@@ -88,7 +88,7 @@ def test_an_autopilot_that_answers_every_gust_leaves_the_delay_unknown() -> None
     segments = (Segment("multisine", 2.0, amplitudes=AMPLITUDES, band=(0.2, 4.0)),)
     noise = ColouredNoise(0.5, 0.3)
     flight = QuadrotorFlight(segments, 30.0, 500.0, delay=0.012, gusts=noise).fly()
-    sensors = Sensors(rate=100.0, gyro_noise=0.01, channels="quadrotor")
+    sensors = Sensors(rate=100.0, gyro_noise=0.01)
     estimate = found(flight, sensors).delays.estimate
     assert abs(estimate.delay - 0.012) < 1.5 * estimate.sigma
     assert not estimate.sure

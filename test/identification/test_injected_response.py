@@ -111,12 +111,12 @@ def hovering(
     flight = flight_of(
         QuadrotorFlight(segments, 40.0, 500.0, delay=0.012, time_constant=lag, gusts=noise, seed=1)
     )
-    m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, channels="quadrotor", stamped=True))
+    m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, stamped=True))
     pairs = zip(m.actuator_t_ns.tolist(), flight.injected.tolist(), strict=True)
     added = [Message(t, "excitation", t, tuple(values)) for t, values in pairs]
     own = {"actuators__delay": 0.0, "actuators__time_constant": in_use, **changes}
     identifier = OnlineIdentifier(settings(m, **own))
-    run(identifier, sorted([*messages(m), *(added if told_it else [])], key=lambda m: m.arrival))
+    run(identifier, sorted([*messages(m), *(added if told_it else [])], key=lambda m: m.arrival_ns))
     return identifier
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import give
 from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
@@ -36,6 +35,7 @@ from uav_ident_ros.identification.settings import (
 )
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.simulation.noise import Message
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -59,7 +59,6 @@ any_stamp = st.one_of(
     st.integers(-10, 10),
     st.integers(-5 * S, 5 * S).map(lambda offset: START_NS + offset),
 )
-
 
 # --- settings ---------------------------------------------------------------------------------
 
@@ -134,7 +133,7 @@ class Fly:
 
     def __call__(self, world: World) -> None:
         for k, (stream, t_ns, values) in enumerate(self.samples(world.now_ns)):
-            give(world.identifier, stream, t_ns, values)
+            Message(0, stream, t_ns, values).give(world.identifier)
             if k % 16 == 0:
                 world.update()
         world.now_ns += round(self.seconds * S)
@@ -171,7 +170,7 @@ class Fly:
 def give_any(world: World, stream: str, t_ns: int, values: tuple[float, ...], times: int) -> None:
     """A sample with any stamp and any values, of any number; five that agree are a time base."""
     for k in range(times):
-        give(world.identifier, stream, t_ns + k * MS, values)
+        Message(0, stream, t_ns + k * MS, values).give(world.identifier)
     world.update()
 
 
@@ -336,7 +335,7 @@ def estimates_of(
     world = World(OnlineIdentifier(settings))
     left = next(batches)
     for sample in samples:
-        give(world.identifier, *sample)
+        Message(0, *sample).give(world.identifier)
         left -= 1
         if left <= 0:
             world.update()

@@ -56,7 +56,7 @@ def flight() -> Flight:
 
 
 def test_it_is_identified_from_hover(flight: Flight) -> None:
-    sensors = Sensors(rate=200.0, gyro_noise=0.01, accelerometer_noise=0.1, channels="quadrotor")
+    sensors = Sensors(rate=200.0, gyro_noise=0.01, accelerometer_noise=0.1)
     identifier, (*_, last) = identified(measure(flight, sensors, 0))
     for name, truth in flight.local_truth.items():
         found = last.coefficients[identifier.structure.index(name)]

@@ -16,11 +16,9 @@ from uav_ident_ros.identification.structure import FloatArray
 class ChannelSet:
     """Raw channels of one kind of vehicle."""
 
-    name: str  # ``plain``, ``elevon``, ``quadrotor`` or ``pwm``
     names: tuple[str, ...]  # Names of the C channels
     # (C, 4) Raw channels from the inputs de, dr, da, dth (their total, trim included)
     allocation: FloatArray
-    offset: FloatArray  # (C,) Raw values at zero inputs
 
     @property
     def mixing(self) -> FloatArray:
@@ -29,38 +27,21 @@ class ChannelSet:
 
     def raw(self, inputs: FloatArray, input_trim: FloatArray) -> FloatArray:
         """Raw channels, shape (M, C), from deviations (M, 4) and the trim (4,) they are from."""
-        return self.offset + (inputs + input_trim) @ self.allocation.T
+        return (inputs + input_trim) @ self.allocation.T
 
     def trim(self, input_trim: FloatArray) -> FloatArray:
         """Raw channels in trimmed flight, shape (C,)."""
-        return np.asarray(self.offset + self.allocation @ input_trim)
+        return np.asarray(self.allocation @ input_trim)
 
     def inputs(self, raw: FloatArray, input_trim: FloatArray) -> FloatArray:
         """Deviations de, dr, da, dth, shape (M, 4), from raw channels (M, C)."""
         return (raw - self.trim(input_trim)) @ self.mixing.T
 
 
-PLAIN = ChannelSet("plain", ("elevator", "rudder", "aileron", "throttle"), np.eye(4), np.zeros(4))
+PLAIN = ChannelSet(("elevator", "rudder", "aileron", "throttle"), np.eye(4))
 """One channel per input, rad and 0..1."""
 
-ELEVON = ChannelSet(
-    "elevon",
-    ("elevon_left", "elevon_right", "rudder", "throttle"),
-    # Trailing edge down is positive on both sides; left down and right up rolls right.
-    np.array(
-        [
-            [1.0, 0.0, 1.0, 0.0],
-            [1.0, 0.0, -1.0, 0.0],
-            [0.0, 1.0, 0.0, 0.0],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    ),
-    np.zeros(4),
-)
-"""Two elevons: de = (left + right) / 2, da = (left - right) / 2."""
-
 QUADROTOR = ChannelSet(
-    "quadrotor",
     ("motor_front_right", "motor_rear_left", "motor_front_left", "motor_rear_right"),
     # Motors 0..1, hover near 0.5 (from the throttle trim). More thrust in front pitches up,
     # on the left rolls right; the first two turn counter-clockwise, their torque yaws right.
@@ -72,19 +53,5 @@ QUADROTOR = ChannelSet(
             [0.5, 0.5, -0.5, 1.0],
         ]
     ),
-    np.zeros(4),
 )
 """Four motors in X: pitch, yaw and roll differences and the collective."""
-
-PWM = ChannelSet(
-    "pwm",
-    ("servo_1", "servo_2", "servo_3", "servo_4"),
-    # 1500 us is centre, +-0.5 rad is +-500 us; the elevator servo is mounted the other way
-    # round; the throttle runs from 1000 to 2000 us.
-    np.diag([-1000.0, 1000.0, 1000.0, 1000.0]),
-    np.array([1500.0, 1500.0, 1500.0, 1000.0]),
-)
-"""Servo pulse widths, microseconds, elevator reversed."""
-
-CHANNEL_SETS = {c.name: c for c in (PLAIN, ELEVON, QUADROTOR, PWM)}
-"""The channel sets by name."""

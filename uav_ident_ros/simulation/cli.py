@@ -13,7 +13,6 @@ from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
-from uav_ident_ros.simulation.channels import CHANNEL_SETS, QUADROTOR
 from uav_ident_ros.simulation.flight import SimulationError
 from uav_ident_ros.simulation.inputs import INPUT_KINDS, ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
@@ -21,6 +20,7 @@ from uav_ident_ros.simulation.live import SIMULATION_RATE, Plan
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import VEHICLE_NAMES, PlantFlight, vehicle
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
+from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 
 START = 2.0
 """Time before the excitation begins, s."""
@@ -88,7 +88,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     flight = parser.add_argument_group("flight")
     add, peaks = flight.add_argument, " ".join(f"{v:g}" for v in PLANT_AMPLITUDES)
-    add("--plant", choices=(*VEHICLE_NAMES, QUADROTOR.name),
+    add("--plant", choices=(*VEHICLE_NAMES, QUADROTOR),
         help="plant of the paper's structure (small_uav), or a quadrotor in hover")  # fmt: skip
     add("--jsbsim", metavar="AIRCRAFT",
         help=f"a JSBSim aircraft instead: {', '.join(airframe_names())}, "
@@ -112,8 +112,6 @@ def make_parser() -> argparse.ArgumentParser:
         help="aircraft: /airspeed is recorded, with this noise, m/s")  # fmt: skip
     add("--unstamped", dest="stamped", action="store_false",
         help="actuators as Float64MultiArray, no stamp")  # fmt: skip
-    add("--channels", choices=tuple(CHANNEL_SETS),
-        help="what the raw actuator channels are (plain; motors)")  # fmt: skip
     _add_numbers(sensors, SENSOR_OPTIONS)
     return parser
 
@@ -147,7 +145,6 @@ def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
         **own,
     )
     given = {field.name: getattr(options, field.name, None) for field in fields(Sensors)}
-    given["channels"] = options.channels or ("quadrotor" if kind is QuadrotorFlight else "plain")
     return plan, Sensors(**{name: v for name, v in given.items() if v is not None})
 
 
@@ -161,7 +158,7 @@ def _vehicle_part(
         return AircraftFlight, airframe(options.jsbsim, options.speed).excitation, own
     own = {"gusts": ColouredNoise(options.gusts)}
     own |= {"time_constant": options.servo_lag} if options.servo_lag else {}
-    if options.plant == QUADROTOR.name:
+    if options.plant == QUADROTOR:
         return QuadrotorFlight, AMPLITUDES, own
     own |= {"vehicle": vehicle(options.plant or VEHICLE_NAMES[0]), "force": FORCE_NOISE}
     own["autopilot"] = options.autopilot
@@ -179,7 +176,7 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
     for name in others:
         if getattr(options, name):
             parser.error(f"--{name.replace('_', '-')} belongs to {owner}")
-    if options.plant == QUADROTOR.name and options.autopilot:
+    if options.plant == QUADROTOR and options.autopilot:
         parser.error("--autopilot: the quadrotor always has one")
     if not options.rate > 0.0:
         parser.error(f"--imu-rate is {options.rate:g}: it must be positive")

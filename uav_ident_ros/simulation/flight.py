@@ -78,7 +78,8 @@ class Flight:
     actuator_t_ns: IntArray
     inputs: FloatArray  # (M, 4) Commands as deviations from trim, de, dr, da (rad), dth
     injected: FloatArray  # (M, 4) Excitation, as a part of these: the rest is the autopilot's
-    trim: FloatArray  # (4,) What is added to `inputs` on the plain channels
+    trim: FloatArray  # (4,) What is added to `inputs` on the channels
+    channel_set: ChannelSet = PLAIN  # What the raw actuator channels are
     delay: float = 0.0  # Transport delay from command to surface, s
     time_constant: float = 0.0  # First-order lag of the servos, s
     structure: str = ""  # Structure of `coefficients`; empty if the aircraft is of none
@@ -110,9 +111,14 @@ class Flight:
         """Times of the samples from the first one on, s."""
         return np.asarray((self.t_ns - self.t_ns[0]) * 1e-9)
 
-    def channels(self, channel_set: ChannelSet = PLAIN) -> FloatArray:
-        """Raw actuator channels, shape (M, C): the inputs through `channel_set`."""
-        return channel_set.raw(self.inputs, self.trim)
+    def channels(self) -> FloatArray:
+        """Raw actuator channels, shape (M, C)."""
+        return self.channel_set.raw(self.inputs, self.trim)
+
+    @property
+    def channel_trim(self) -> FloatArray:
+        """Raw channels in trimmed flight, shape (C,)."""
+        return self.channel_set.trim(self.trim)
 
     def force_at(
         self,

@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the sensors make of a flight: noise, bias, jitter, drops, frames and stamps."""
 
+import heapq
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import repeat
+from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, RATES
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FRAME_IDS
-from uav_ident_ros.simulation.channels import CHANNEL_SETS, ChannelSet
 from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError
 
 FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
@@ -48,7 +55,6 @@ class Sensors:
     latency: float = 0.0
     # Whether actuator messages carry a stamp (JointState) or not (Float64MultiArray)
     stamped: bool = True
-    channels: str = "plain"  # Name of the channel set of the raw actuators
 
     def __post_init__(self) -> None:
         names = ("gyro_noise", "accelerometer_noise", "airspeed_noise", "stamp_jitter", "latency")
@@ -62,20 +68,36 @@ class Sensors:
             raise SimulationError(f"drop is {self.drop}: it must be 0 or more and below 1")
 
 
-@dataclass(frozen=True, eq=False)
-class Measurements:
-    """Messages of a flight as plain arrays, each topic in the order of its log times."""
+class Message(NamedTuple):
+    """A sample on its way to an identifier."""
 
-    flight: Flight  # What really happened
-    sensors: Sensors  # What measured it
+    arrival_ns: int  # When it arrives, ns
+    stream: str  # What the identifier calls it
+    t_ns: int  # Its stamp, ns
+    values: tuple[float, ...]  # Rates and specific force; raw channels; the airspeed
+
+    def give(self, identifier: OnlineIdentifier) -> None:
+        """Hand it over."""
+        if self.stream == RATES:
+            identifier.add_rates(self.t_ns, self.values[:3], self.values[3:] or None)
+            return
+        add = getattr(identifier, f"add_{self.stream}")
+        single = self.stream in (AIRSPEED, ARMED)
+        add(self.t_ns, self.values[0] if single else self.values)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Samples:
+    """What arrived of a flight, as plain arrays, each stream in the order of its arrival."""
+
     # imu_t_ns, imu_log_ns: (N,) Stamps and log times of the Imu messages, ns
     imu_t_ns: IntArray
     imu_log_ns: IntArray
-    true_t_ns: IntArray  # (N,) When they were really sampled, ns
-    # rates, specific_force: (N, 3) In the axes of `sensors.convention`, rad/s and m/s^2
+    # rates, specific_force: (N, 3) In the Imu's axes, rad/s and m/s^2
     rates: FloatArray
     specific_force: FloatArray
-    # actuator_t_ns, actuator_log_ns: (M,) Stamps and log times of the actuator messages, ns
+    # actuator_t_ns, actuator_log_ns: (M,) The same of the actuator messages, ns; what carries no
+    # stamp counts from its arrival
     actuator_t_ns: IntArray
     actuator_log_ns: IntArray
     actuators: FloatArray  # (M, C) Raw channels
@@ -84,20 +106,40 @@ class Measurements:
     airspeed_log_ns: IntArray
     airspeed: FloatArray
 
-    @property
-    def channel_set(self) -> ChannelSet:
-        """What the raw channels mean."""
-        return CHANNEL_SETS[self.sensors.channels]
+    def messages(self) -> Iterator[Message]:
+        """Yield all samples in the order of arrival: at equal times the command comes first."""
+        inertial = np.hstack([self.rates, self.specific_force])
+        columns = (
+            (ACTUATORS, self.actuator_log_ns, self.actuator_t_ns, self.actuators),
+            (RATES, self.imu_log_ns, self.imu_t_ns, inertial),
+            (AIRSPEED, self.airspeed_log_ns, self.airspeed_t_ns, self.airspeed[:, None]),
+        )
+        streams = (
+            map(Message, log.tolist(), repeat(name), t.tolist(), map(tuple, values.tolist()))
+            for name, log, t, values in columns
+        )
+        return heapq.merge(*streams, key=itemgetter(0))
+
+
+def fed(identifier: OnlineIdentifier, messages: Iterable[Message]) -> Iterator[Estimate]:
+    """Give an identifier messages; yield the estimate of each tick as soon as it is due."""
+    for message in messages:
+        message.give(identifier)
+        yield from identifier.advance()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Measurements(Samples):
+    """Messages of a simulated flight; the axes of its Imu are of `sensors.convention`."""
+
+    flight: Flight  # What really happened
+    sensors: Sensors  # What measured it
+    true_t_ns: IntArray  # (N,) When the Imu messages were really sampled, ns
 
     @property
     def frame_id(self) -> str:
         """frame_id of the Imu messages."""
         return FRAME_IDS[self.sensors.convention]
-
-    @property
-    def channel_trim(self) -> FloatArray:
-        """Raw channels in trimmed flight, shape (C,)."""
-        return self.channel_set.trim(self.flight.trim)
 
     @property
     def true_rates(self) -> FloatArray:
@@ -141,17 +183,19 @@ def measure(
     samples = slice(None, None, airspeed_step(flight.rate))
     airspeed = airspeed[samples] + sensors.airspeed_bias
     airspeed_t_ns = flight.t_ns[samples][: len(airspeed)]
+    imu_log_ns = _log_times(true_t_ns, sensors.latency, delays)
+    actuator_log_ns = _log_times(flight.actuator_t_ns, sensors.latency, delays)
     return Measurements(
         flight=flight,
         sensors=sensors,
         imu_t_ns=true_t_ns + np.rint(offset[keep] * 1e9).astype(np.int64),
-        imu_log_ns=_log_times(true_t_ns, sensors.latency, delays),
+        imu_log_ns=imu_log_ns,
         true_t_ns=true_t_ns,
         rates=rates[keep] * axes,
         specific_force=force[keep] * axes,
-        actuator_t_ns=flight.actuator_t_ns,
-        actuator_log_ns=_log_times(flight.actuator_t_ns, sensors.latency, delays),
-        actuators=flight.channels(CHANNEL_SETS[sensors.channels]),
+        actuator_t_ns=flight.actuator_t_ns if sensors.stamped else actuator_log_ns,
+        actuator_log_ns=actuator_log_ns,
+        actuators=flight.channels(),
         airspeed_t_ns=airspeed_t_ns,
         airspeed_log_ns=_log_times(airspeed_t_ns, sensors.latency, delays),
         airspeed=airspeed + noise * pitot.standard_normal(len(airspeed)),

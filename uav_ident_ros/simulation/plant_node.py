@@ -40,12 +40,12 @@ from uav_ident_ros.messages.types import FRAME_IDS, NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import UsageError, read_parameters, run, usage
 from uav_ident_ros.ros import to_stamp
-from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live, Sample
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
 
 PATIENCE = 5.0
@@ -127,7 +127,7 @@ class PlantNode(Node):
         faults = [parse_fault(text) for text in value["faults"] if text]
         flown = sensors, value["delay"], faults, value["seed"]
         self._aircraft: Live
-        if value["aircraft"] == QUADROTOR.name:
+        if value["aircraft"] == QUADROTOR:
             self._aircraft = LiveQuadrotor(*flown)
         else:
             self._aircraft = LiveAircraft(value["aircraft"], *flown, value["speed"] or None)

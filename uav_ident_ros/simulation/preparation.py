@@ -5,11 +5,7 @@ The identifier sees two minutes of multisines, as a first flight would give them
 coefficients become the nominal set of the controller and the start of the identifier in the loop.
 """
 
-import heapq
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from itertools import repeat
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +19,10 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.share import shared
 from uav_ident_ros.simulation.airframe import Airframe, airframe
-from uav_ident_ros.simulation.flight import EPOCH_NS, IntArray, SimulationError
+from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, LiveAircraft
-from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.noise import Measurements, Sensors, fed, measure
 from uav_ident_ros.simulation.recording import parameters, yaml_text
 
 CONFIG = shared("config/closed_loop")
@@ -83,17 +79,7 @@ def identify(m: Measurements, speed: float) -> CoefficientSet:
     """Run the identifier over a flight, online; return what it has in the end, at `speed`, m/s."""
     settings = Settings.from_values(parameters(m) | {"airspeed.reference": speed})
     identifier = OnlineIdentifier(settings)
-    rates = zip(m.rates.tolist(), m.specific_force.tolist(), strict=True)
-    streams: Iterable[tuple[IntArray, Callable[..., object], Iterable[Any]]] = (
-        (m.actuator_t_ns, identifier.add_actuators, zip(m.actuators.tolist())),
-        (m.airspeed_t_ns, identifier.add_airspeed, zip(m.airspeed.tolist())),
-        (m.imu_t_ns, identifier.add_rates, rates),  # the last of equal stamps: it makes ticks due
-    )
-    calls = (zip(t_ns.tolist(), repeat(add), values) for t_ns, add, values in streams)
-    ticks = 0
-    for t_ns, add, values in heapq.merge(*calls, key=itemgetter(0)):
-        add(t_ns, *values)
-        ticks += sum(1 for _ in identifier.advance())
+    ticks = sum(1 for _ in fed(identifier, m.messages()))
     if not ticks:
         raise SimulationError("the flight is too short to identify anything")
     return identifier.coefficient_set()

@@ -16,6 +16,9 @@ from uav_ident_ros.simulation.inputs import CALM, ColouredNoise
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
 
+NAME = "quadrotor"
+"""Its name among the plants and the aircraft."""
+
 SIDES = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
 """Forward and right of the centre: motors front right, rear left, front left, rear right."""
 
@@ -269,7 +272,7 @@ class QuadrotorFlight(Plan):
         super().__post_init__()
         check_positive(self, "time_constant")
 
-    def fly(self, name: str = "quadrotor") -> Flight:
+    def fly(self, name: str = NAME) -> Flight:
         """Fly it; see `Plan.fly`."""
         rng = np.random.default_rng([self.seed, 0])
         gusts = self.gusts.sample(self.samples, 3, self.rate, rng)
@@ -290,6 +293,7 @@ class QuadrotorFlight(Plan):
             specific_force=force,
             inputs=QUADROTOR.inputs(commands, live.trim),
             trim=live.trim,
+            channel_set=QUADROTOR,
             time_constant=self.time_constant,
             local_truth=live.craft.body.derivatives(),
             parameters=PARAMETERS,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured flights as bags, and the parameters that fit their topics."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,11 @@ from uav_ident_ros.bags.writing import (
     whole,
 )
 from uav_ident_ros.files.truth_file import TRUTH_FILE
+from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, RATES
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
-from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.noise import Measurements, Message
 
-IMU_TOPIC, ACTUATOR_TOPIC, AIRSPEED_TOPIC = "/imu/data", "/actuators", "/airspeed"
+TOPICS = {RATES: "/imu/data", ACTUATORS: "/actuators", AIRSPEED: "/airspeed"}
 
 PARAMETER_FILE = "identifier.yaml"
 
@@ -39,34 +40,21 @@ def actuator_type(measurements: Measurements) -> str:
     return JOINT_STATE if measurements.sensors.stamped else ARRAY
 
 
-Messages = Iterator[tuple[int, str, Any]]
-"""(log time, topic, message) of every message of a topic."""
-
-
-def imu_messages(m: Measurements) -> Messages:
-    """Messages of the Imu."""
-    noises = (m.sensors.gyro_noise, m.sensors.accelerometer_noise)
-    spread, force_spread = (np.diag([noise**2] * 3).ravel() for noise in noises)
-    columns = (m.imu_log_ns, m.imu_t_ns, m.rates, m.specific_force)
-    for log, t, rates, force in zip(*(column.tolist() for column in columns), strict=True):
-        message = imu(t, rates, force, m.frame_id, covariances=(spread, force_spread))
-        yield log, IMU_TOPIC, message
-
-
-def actuator_messages(m: Measurements) -> Messages:
-    """Messages of the actuators."""
-    stamps = zip(m.actuator_log_ns.tolist(), m.actuator_t_ns.tolist(), m.actuators, strict=True)
-    for log, t, values in stamps:
-        stamped = m.sensors.stamped
-        message = joint_state(t, m.channel_set.names, values) if stamped else array(values)
-        yield log, ACTUATOR_TOPIC, message
-
-
-def airspeed_messages(m: Measurements) -> Messages:
-    """Messages of the measured airspeed."""
-    columns = (m.airspeed_log_ns.tolist(), m.airspeed_t_ns.tolist(), m.airspeed.tolist())
-    for log, t, speed in zip(*columns, strict=True):
-        yield log, AIRSPEED_TOPIC, twist_stamped(t, (speed, 0.0, 0.0))
+def as_message(measured: Message, m: Measurements) -> Any:
+    """Return the ROS message of a sample."""
+    t_ns, values = measured.t_ns, measured.values
+    if measured.stream == RATES:
+        noises = (m.sensors.gyro_noise, m.sensors.accelerometer_noise)
+        spread, force_spread = (np.diag([noise**2] * 3).ravel() for noise in noises)
+        covariances = (spread, force_spread)
+        return imu(t_ns, values[:3], values[3:], m.frame_id, covariances=covariances)
+    if measured.stream == AIRSPEED:
+        return twist_stamped(t_ns, (*values, 0.0, 0.0))
+    return (
+        joint_state(t_ns, m.flight.channel_set.names, values)
+        if m.sensors.stamped
+        else array(values)
+    )
 
 
 def write_bag(
@@ -83,12 +71,13 @@ def write_bag(
     """
     with whole(Path(path)) as folder:
         with BagWriter(folder, compress) as bag:
-            bag.topic(IMU_TOPIC, IMU, qos(500, reliable=False))
-            bag.topic(ACTUATOR_TOPIC, actuator_type(measurements), qos(10))
+            bag.topic(TOPICS[RATES], IMU, qos(500, reliable=False))
+            bag.topic(TOPICS[ACTUATORS], actuator_type(measurements), qos(10))
             if len(measurements.airspeed):
-                bag.topic(AIRSPEED_TOPIC, TWIST, qos(10))
-            streams = (actuator_messages, imu_messages, airspeed_messages)
-            bag.merge(stream(measurements) for stream in streams)
+                bag.topic(TOPICS[AIRSPEED], TWIST, qos(10))
+            for sample in measurements.messages():
+                message = as_message(sample, measurements)
+                bag.write(TOPICS[sample.stream], sample.arrival_ns, message)
         meaning = "What the topics of this bag mean: parameters for the identifier and for replay."
         text = yaml_text({"/**": {"ros__parameters": parameters(measurements)}}, meaning)
         (folder / PARAMETER_FILE).write_text(text, encoding="utf-8")
@@ -98,8 +87,8 @@ def write_bag(
 
 def parameters(measurements: Measurements) -> dict[str, Any]:
     """Parameters of the identifier that fit this flight's topics, by dotted name."""
-    channel_set = measurements.channel_set
-    stamped = measurements.sensors.stamped
+    flight, stamped = measurements.flight, measurements.sensors.stamped
+    channel_set = flight.channel_set
     names: list[Any] = list(channel_set.names if stamped else range(len(channel_set.names)))
     values: dict[str, Any] = {
         "imu.type": IMU,
@@ -107,13 +96,12 @@ def parameters(measurements: Measurements) -> dict[str, Any]:
         "imu.lever_arm": list(measurements.sensors.lever_arm),
         "actuators.type": actuator_type(measurements),
         "actuators.channels": names,
-        "actuators.trim": measurements.channel_trim.tolist(),
-        "actuators.delay": measurements.flight.delay,
-        "actuators.time_constant": measurements.flight.time_constant,
+        "actuators.trim": flight.channel_trim.tolist(),
+        "actuators.delay": flight.delay,
+        "actuators.time_constant": flight.time_constant,
     }
     for name, row in zip(INPUTS, channel_set.mixing, strict=True):
         values[f"actuators.mixing.{name}"] = row.tolist()
-    flight = measurements.flight
     if flight.airspeed is not None:
         values["airspeed.reference"] = round(float(flight.airspeed.mean()), 1)
         if len(measurements.airspeed):
