@@ -17,6 +17,7 @@ from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS, Stream
 from uav_ident_ros.messages.types import ChannelError, RatesReader, import_type
 from uav_ident_ros.node.notices import Guard, Throttle, without_sources
+from uav_ident_ros.node.parameters import QOS_POLICIES
 
 LARGEST_INBOX = 200
 """Messages that may wait to be looked at: where the timer stands still, with /clock."""
@@ -24,12 +25,7 @@ LARGEST_INBOX = 200
 QUEUE_DEPTH = 500
 """Messages kept while the node is busy: half a second at 1 kHz. A depth of 5 loses some."""
 
-_OVERRIDABLE = (
-    QoSPolicyKind.HISTORY,
-    QoSPolicyKind.DEPTH,
-    QoSPolicyKind.RELIABILITY,
-    QoSPolicyKind.DURABILITY,
-)
+_OVERRIDABLE = tuple(QoSPolicyKind[name.upper()] for name in QOS_POLICIES)
 
 
 class Input:

@@ -41,7 +41,7 @@ _OTHERS = ("use_sim_time", "start_type_description_service")
 
 _QOS_PREFIX = "qos_overrides."
 
-_QOS_POLICIES: dict[str, tuple[str, ...]] = {
+QOS_POLICIES: dict[str, tuple[str, ...]] = {
     "history": ("keep_last", "keep_all"),
     "depth": (),
     "reliability": ("reliable", "best_effort", "system_default"),
@@ -77,14 +77,12 @@ def settings_of(
 def _check_qos(name: str, value: object, topics: Sequence[str]) -> None:
     """Check a QoS override, which rclpy ignores if misspelt and fails on if wrong."""
     known = [
-        f"{_QOS_PREFIX}{topic}.subscription.{policy}"
-        for topic in topics
-        for policy in _QOS_POLICIES
+        f"{_QOS_PREFIX}{topic}.subscription.{policy}" for topic in topics for policy in QOS_POLICIES
     ]
     if name not in known:
         hint = nearest(name, known) or f"there are {', '.join(known)}"
         raise SettingsError(f"there is no parameter '{name}': {hint}")
-    allowed = _QOS_POLICIES[name.rsplit(".", 1)[1]]
+    allowed = QOS_POLICIES[name.rsplit(".", 1)[1]]
     if allowed and value not in allowed:
         raise SettingsError(f"'{name}' is {value!r}: allowed are {', '.join(allowed)}")
     if not allowed and (type(value) is not int or not 0 < value <= MAX_DEPTH):
