@@ -26,7 +26,7 @@ from uav_ident_ros.report.charts import (
     state_chart,
 )
 from uav_ident_ros.report.diagrams import SAMPLE_RATE, autocorrelation, spectra, welch
-from uav_ident_ros.report.flight import Flight, Predictions, predict
+from uav_ident_ros.report.flight import Flight, predict
 from uav_ident_ros.report.page import _embed
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
@@ -83,24 +83,6 @@ def test_predictions_are_beside_what_was_measured(flight: Flight) -> None:
         assert (ahead.residual[settled].std(axis=0) < 0.05).all()
         measured = np.interp(ahead.t, flight.t, flight.rates[:, 0])
         np.testing.assert_allclose(ahead.measured[:, 0], measured, atol=1e-9)
-        before = np.interp(ahead.t - horizon, flight.t, flight.rates[:, 0])
-        np.testing.assert_allclose(ahead.before[:, 0], before, atol=1e-9)
-        model, hold = ahead.fit(flight.span[1])
-        assert (model > hold + 10.0).all()
-
-
-def test_fit_is_the_formula_over_the_last_part() -> None:
-    rng = np.random.default_rng(2)
-    t = np.linspace(1.0, 100.0, 2000)
-    measured, error = rng.normal(size=(2000, 3)) + 5.0, rng.normal(size=(2000, 3))
-    ahead = Predictions(1.0, t, measured - error, measured, measured - 2.0 * error)
-    chosen = t - 1.0 >= 60.0
-    centred = measured[chosen] - measured[chosen].mean(axis=0)
-    share = np.linalg.norm(error[chosen], axis=0) / np.linalg.norm(centred, axis=0)
-    model, hold = ahead.fit(100.0)
-    np.testing.assert_allclose(model, 100.0 * (1.0 - share))
-    np.testing.assert_allclose(hold, 100.0 * (1.0 - 2.0 * share))
-    assert np.isnan(ahead.fit(1000.0)).all()
 
 
 # --- inputs ----------------------------------------------------------------------------------

@@ -120,11 +120,7 @@ FIT_CAPTIONS = {
 """Selections of windows in words."""
 
 
-def fit_tables(
-    summary: Mapping[str, Any],
-    # Rows beside those of the summary, by selection of windows
-    more: Mapping[str, Sequence[Row]] | None = None,
-) -> Iterator[Table]:
+def fit_tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     """Yield the fit of the predictions for each selection of windows."""
     for windows, fit in summary["prediction_fit"].items():
         rows = []
@@ -134,7 +130,6 @@ def fit_tables(
         measured = fit["model_with_measured_forces"].values()
         if any(value is not None for value in measured):
             rows.append(fit_row("with measured forces, 1 s", measured))
-        rows += (more or {}).get(windows, ())
         count = f"{fit['windows']} windows" if fit["windows"] else "no window to score"
         yield Table(f"{FIT_CAPTIONS[windows]}, {count}", ("fit [%]", *AXES), rows)
 

@@ -9,7 +9,7 @@ from bokeh.models import ColumnDataSource, Span
 
 from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.prediction import LAST_PART
-from uav_ident_ros.identification.structure import INPUTS, SPECIFIC_FORCES
+from uav_ident_ros.identification.structure import INPUTS, ROWS, SPECIFIC_FORCES
 from uav_ident_ros.offline.evidence import reason_of
 from uav_ident_ros.offline.tables import AXES
 from uav_ident_ros.report.flight import Flight, Predictions
@@ -163,10 +163,9 @@ def state_chart(flight: Flight, line: Timeline, reasons: Iterable[str]) -> Chart
         "state": [estimate.state for estimate in flight.estimates],
         "usable": ["converged" if estimate.usable else "" for estimate in flight.estimates],
     }
-    for name, values in flight.published.items():
-        if name.startswith("verdict/usable/"):
-            row = f"usable {name.rpartition('/')[2]}"
-            rows[row] = ["converged" if value > 0.0 else "" for value in values]
+    verdicts = zip(*(estimate.usable_rows for estimate in flight.estimates), strict=True)
+    for row, usable in zip(ROWS, verdicts, strict=True):
+        rows[f"usable {row}"] = ["converged" if flag else "" for flag in usable]
     given = [reason_of(estimate) for estimate in flight.estimates]
     for reason in [r for r in reasons if r][:MOST_REASONS]:
         rows[reason] = ["paused" if other == reason else "" for other in given]

@@ -6,19 +6,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 
 from uav_ident_ros.identification.prediction import (
     HORIZONS,
-    LAST_PART,
     InputSignal,
     Published,
     predict_ahead,
 )
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.published import entry_names, named_entries
+from uav_ident_ros.messages.published import STATE_FIELDS
 from uav_ident_ros.offline.run import BLOCK, OfflineRun, time_bases
 
 PAUSE_BETWEEN = 1.0
@@ -81,19 +81,6 @@ class Flight:
         return np.concatenate([_inputs_at(part.inputs, part.t_ns) for part in self.time_bases])
 
     @cached_property
-    def published(self) -> dict[str, FloatArray]:
-        """What ~/coefficients_named says beside the coefficients: name to values (K,).
-
-        Fits, verdicts, and the states of a structure that has more than the rates.
-        """
-        names = entry_names(self.structure)
-        chosen = [k for k, name in enumerate(names) if name not in set(self.structure.names)]
-        values = np.array(
-            [named_entries(e, self.structure).positions[chosen] for e in self.estimates]
-        )
-        return {names[k]: column for k, column in zip(chosen, values.T, strict=True)}
-
-    @cached_property
     def ahead(self) -> Predictions:
         """Predictions over the horizon of the score of record."""
         return predict(self, HORIZONS[0])
@@ -101,11 +88,9 @@ class Flight:
     @property
     def states(self) -> dict[str, FloatArray]:
         """Published states beyond the rates, alpha and so on: name to values (K,)."""
-        return {
-            name.removeprefix("state/"): values
-            for name, values in self.published.items()
-            if name.startswith("state/")
-        }
+        flows = [estimate.flow for estimate in self.estimates if estimate.flow is not None]
+        values = np.array([attrgetter(*STATE_FIELDS)(flow) for flow in flows])
+        return dict(zip(STATE_FIELDS, values.T, strict=True)) if flows else {}
 
     @property
     def span(self) -> tuple[float, float]:
@@ -123,10 +108,6 @@ def _inputs_at(inputs: InputSignal, t_ns: TimeArray) -> FloatArray:
     return np.concatenate([inputs.at(t_ns[k : k + BLOCK]) for k in range(0, len(t_ns), BLOCK)])
 
 
-SHORTEST_FIT = 2
-"""Predictions from which a spread, and so a fit, is defined."""
-
-
 @dataclass(frozen=True)
 class Predictions:
     """Rates predicted one horizon ahead, and measured, p q r in rad/s, FRD."""
@@ -136,31 +117,11 @@ class Predictions:
     # predicted, measured: (W, 3) Prediction and measurement at these times
     predicted: FloatArray
     measured: FloatArray
-    # (W, 3) Measured when the prediction was made: what holding the rates predicts
-    before: FloatArray
 
     @property
     def residual(self) -> FloatArray:
         """Measured minus predicted, shape (W, 3)."""
         return self.measured - self.predicted
-
-    def fit(self, end: float) -> tuple[FloatArray, FloatArray]:
-        """Fit of the model and of holding the rates, percent, (3,) each.
-
-        The formula of the score of record, over the points that were predicted in the last 40 %
-        of a flight that ends at `end` s. NaN if there are none.
-        """
-        chosen = self.t - self.horizon >= (1.0 - LAST_PART) * end
-        if np.count_nonzero(chosen) < SHORTEST_FIT:
-            return np.full(3, np.nan), np.full(3, np.nan)
-        measured = self.measured[chosen]
-        spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
-        spread[spread == 0.0] = np.nan
-        model, hold = (
-            100.0 * (1.0 - np.linalg.norm(measured - other[chosen], axis=0) / spread)
-            for other in (self.predicted, self.before)
-        )
-        return model, hold
 
 
 def predict(flight: Flight, horizon: float) -> Predictions:
@@ -175,8 +136,5 @@ def predict(flight: Flight, horizon: float) -> Predictions:
     t, predicted = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(t, kind="stable")
     t, predicted = t[order], predicted[order]
-    measured, before = (
-        np.stack([np.interp(at, flight.t, column) for column in flight.rates.T], axis=1)
-        for at in (t, t - horizon)
-    )
-    return Predictions(horizon, t, predicted, measured, before)
+    measured = np.stack([np.interp(t, flight.t, column) for column in flight.rates.T], axis=1)
+    return Predictions(horizon, t, predicted, measured)

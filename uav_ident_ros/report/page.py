@@ -31,7 +31,6 @@ from uav_ident_ros.offline.tables import (
     Table,
     Words,
     coefficients_table,
-    fit_row,
     fit_tables,
     modes_table,
 )
@@ -61,12 +60,9 @@ def sections(replayed: Replayed) -> Iterator[Section]:
     lost, identifier = replayed.evidence.lost, replayed.run.identifier
     line = Timeline(flight.span, flight.restarts)
     tick = predict(flight, 1.0 / flight.settings.update_rate)
-    ahead = f"one tick ({tick.horizon:g} s) ahead", "holding the rates for one tick"
-    fits = zip(ahead, tick.fit(flight.span[1]), strict=True)
-    more = {FIT_WINDOWS: [fit_row(name, values.tolist()) for name, values in fits]}
     fit = summary["prediction_fit"][FIT_WINDOWS]
     cards = [tables.card(fit, axis) for axis in AXES]
-    yield Section("fit", "Fit", [_FIT_TEXT], [*fit_tables(summary, more)], cards=cards)
+    yield Section("fit", "Fit", [_FIT_TEXT], [*fit_tables(summary)], cards=cards)
     states = state_chart(flight, line, lost)
     yield Section("learning", "Learning", [], [tables.gates_table(lost)], [states])
     whiteness = diagrams.whiteness_chart(flight, tick)
