@@ -3,7 +3,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,9 +28,6 @@ HIGHEST_FREQUENCY = 20.0
 
 SAMPLE_RATE = 50.0
 """Signals are resampled at this rate, Hz: 2.5 times the highest frequency."""
-
-BAND = (0.1, 0.9)
-"""Shares of the power at the ends of the band that a signal is said to have."""
 
 BANDS_PER_OCTAVE = 3
 """Densities are averaged over thirds of an octave: a comb of sine waves is no curve otherwise."""
@@ -65,41 +61,6 @@ def autocorrelation(residual: FloatArray, lags: int) -> FloatArray:
     power = (centred**2).sum(axis=0)
     power[power == 0.0] = np.nan
     return np.array([(centred[k:] * centred[:-k]).sum(axis=0) / power for k in range(1, lags + 1)])
-
-
-@dataclass(frozen=True)
-class Spectra:
-    """Power spectral densities by Welch's method."""
-
-    frequency: FloatArray  # (F,) Hz, without zero
-    inputs: FloatArray  # (F, 4) Density of de, dr, da, dth, unit^2/Hz
-    rates: FloatArray  # (F, 3) Density of p, q, r, (rad/s)^2/Hz
-
-    def band(self, density: FloatArray) -> tuple[float, float]:
-        """Return the frequencies, Hz, between which the middle 80 % of the power lies."""
-        total = np.cumsum(density)
-        if not total[-1] > 0.0:
-            return math.nan, math.nan
-        low, high = np.searchsorted(total / total[-1], BAND)
-        return float(self.frequency[low]), float(self.frequency[high])
-
-
-def spectra(flight: Flight) -> Spectra | None:
-    """Return the spectra of the longest time base; None if it is shorter than two segments."""
-    part = max(flight.time_bases, key=lambda p: len(p.t_ns))
-    t = flight.seconds(part.era, part.t_ns)
-    even = np.arange(t[0], t[-1], 1.0 / SAMPLE_RATE)
-    segment = round(SEGMENT_TIME * SAMPLE_RATE)
-    if len(even) < 2 * segment:
-        return None
-    frequency = np.fft.rfftfreq(segment, 1.0 / SAMPLE_RATE)
-    shown = (frequency > 0.0) & (frequency <= HIGHEST_FREQUENCY)
-
-    def densities(columns: FloatArray) -> FloatArray:
-        resampled = [np.interp(even, flight.t, column) for column in columns.T]
-        return np.stack([welch(column, segment) for column in resampled], axis=1)[shown]
-
-    return Spectra(frequency[shown], densities(flight.u), densities(flight.rates))
 
 
 def welch(values: FloatArray, segment: int) -> FloatArray:
@@ -186,12 +147,25 @@ def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
     )
 
 
-def spectrum_charts(flight: Flight, found: Spectra) -> Iterator[Chart]:
-    """Yield the power densities of the inputs and of the rates."""
+def spectrum_charts(flight: Flight) -> Iterator[Chart]:
+    """Yield the power densities of inputs and rates; none of less than two segments.
+
+    They are those of the longest time base, by Welch's method.
+    """
+    part = max(flight.time_bases, key=lambda p: len(p.t_ns))
+    t = flight.seconds(part.era, part.t_ns)
+    even = np.arange(t[0], t[-1], 1.0 / SAMPLE_RATE)
+    segment = round(SEGMENT_TIME * SAMPLE_RATE)
+    if len(even) < 2 * segment:
+        return
+    frequency = np.fft.rfftfreq(segment, 1.0 / SAMPLE_RATE)
+    within = (frequency > 0.0) & (frequency <= HIGHEST_FREQUENCY)
     cutoff = flight.settings.filter.cutoff / (2.0 * math.pi)
-    groups = (("inputs", INPUTS, found.inputs), ("rates", AXES, found.rates))
-    for name, labels, density in groups:
-        middle, mean = thirds(found.frequency, density)
+    groups = (("inputs", INPUTS, flight.u), ("rates", AXES, flight.rates))
+    for name, labels, values in groups:
+        resampled = [np.interp(even, flight.t, column) for column in values.T]
+        density = np.stack([welch(column, segment) for column in resampled], axis=1)
+        middle, mean = thirds(frequency[within], density[within])
         top = float(mean.max(initial=0.0)) or 1.0
         chart = plain_figure(
             230,
@@ -200,7 +174,7 @@ def spectrum_charts(flight: Flight, found: Spectra) -> Iterator[Chart]:
             x_axis_type="log",
             y_axis_type="log",
             y_range=(top * 10.0**-DECADES, 2.0 * top),
-            x_range=(float(found.frequency[0]), HIGHEST_FREQUENCY),
+            x_range=(float(frequency[within][0]), HIGHEST_FREQUENCY),
         )
         chart.xaxis.ticker = FixedTicker(ticks=[0.1, 1.0, 10.0])
         shown = dict(zip(labels, mean.T, strict=True))

@@ -36,7 +36,6 @@ from uav_ident_ros.offline.tables import (
 )
 from uav_ident_ros.report import diagrams, tables
 from uav_ident_ros.report.charts import coefficient_charts, rate_charts, signal_charts, state_chart
-from uav_ident_ros.report.diagrams import spectra
 from uav_ident_ros.report.flight import predict
 from uav_ident_ros.report.style import COLORS
 from uav_ident_ros.report.timeline import Chart, Timeline
@@ -82,11 +81,12 @@ def sections(replayed: Replayed) -> Iterator[Section]:
     if replayed.modes:
         charts = [diagrams.mode_chart(replayed.modes)]
         yield Section("modes", "Modes", [_MODES_TEXT], [modes_table(summary)], charts)
-    found = spectra(flight)
-    charts = [*signal_charts(flight, line)]
-    charts += [*diagrams.spectrum_charts(flight, found)] if found is not None else []
-    charts += [*diagrams.coverage_charts(flight)]
-    numbers = [tables.signals_table(flight, found), tables.correlations_table(flight)]
+    charts = [
+        *signal_charts(flight, line),
+        *diagrams.spectrum_charts(flight),
+        *diagrams.coverage_charts(flight),
+    ]
+    numbers = [tables.correlations_table(flight)]
     yield Section("inputs", "Inputs, forces and states", [_INPUTS_TEXT], numbers, charts)
     yield _delay_section(identifier.delays, identifier.delay)
     yield Section("messages", "Messages", [], [tables.messages_table(summary)])
@@ -114,10 +114,9 @@ _COEFFICIENTS_TEXT = (
 )
 
 _INPUTS_TEXT = (
-    "The band holds the middle 80 % of a signal's power; the dotted line in the spectra is the "
-    "cut-off of the estimator's filter. An input excites little if it is strongly correlated with "
-    "another, or with a rate that an autopilot feeds back. The model holds only inside the clouds "
-    "of the coverage."
+    "The dotted line in the spectra is the cut-off of the estimator's filter. An input excites "
+    "little if it is strongly correlated with another, or with a rate that an autopilot feeds "
+    "back. The model holds only inside the clouds of the coverage."
 )
 
 

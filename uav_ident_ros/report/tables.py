@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables that only the report has, and how a cell looks on the page."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -12,9 +11,9 @@ from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.offline.tables import Cell, Number, Row, Table, Words
-from uav_ident_ros.report.charts import AXIS_WORDS, UNITS
-from uav_ident_ros.report.diagrams import SIGNALS, Spectra, signals
+from uav_ident_ros.offline.tables import Number, Row, Table, Words
+from uav_ident_ros.report.charts import AXIS_WORDS
+from uav_ident_ros.report.diagrams import SIGNALS, signals
 from uav_ident_ros.report.flight import Flight
 
 
@@ -31,19 +30,6 @@ def gates_table(lost: Mapping[str, float]) -> Table:
     shares = {**lost, "learned": 1.0 - sum(lost.values())}
     rows = [Row(reason, [Number(100.0 * share, ".1f")]) for reason, share in shares.items()]
     return Table("Where the flight went, share of the ticks", ("reason", "[%]"), rows)
-
-
-def signals_table(flight: Flight, found: Spectra | None) -> Table:
-    """Spread, range and band of every signal."""
-    rows = []
-    bands = [found.band(d) for d in (*found.inputs.T, *found.rates.T)] if found else []
-    bands += [(math.nan, math.nan)] * (len(SIGNALS) - len(bands))
-    for name, column, (low, high) in zip(SIGNALS, signals(flight).T, bands, strict=True):
-        cells: list[Cell] = [Number(v, ".2g") for v in (column.min(), column.max(), column.std())]
-        cells.append(f"{low:.2g}–{high:.2g}" if math.isfinite(low) else "–")
-        rows.append(Row(f"{name} [{UNITS[name]}]" if name in UNITS else name, cells))
-    head = ("signal", "least", "most", "std. dev.", "band [Hz]")
-    return Table("Range of the signals; inputs from trim", head, rows)
 
 
 def correlations_table(flight: Flight) -> Table:
