@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from uav_ident_ros.bags.reading import Bag, BagError, Message
+from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.commandline import (
     INTERRUPTED,
     USAGE_ERROR,
@@ -22,18 +22,18 @@ from uav_ident_ros.commandline import (
     end_as_on_ctrl_c,
     number,
 )
-from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
-from uav_ident_ros.identification.settings import SettingsError
+from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.messages.streams import STREAMS
-from uav_ident_ros.messages.types import ACTUATORS, MessageTypeError, import_type
-from uav_ident_ros.monitor.cli import Listener
+from uav_ident_ros.messages.types import ACTUATORS, import_type
+from uav_ident_ros.monitor.cli import listen
 from uav_ident_ros.monitor.picture import View
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.inputs import Inputs, choose_inputs
+from uav_ident_ros.offline.job import REFUSALS
 from uav_ident_ros.player import Player, PlayerError
-from uav_ident_ros.process import LAST_DOMAIN, NodeProcess, own_domain
+from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.share import shared
 
 FAILED = 1
@@ -44,12 +44,6 @@ DEFAULT_SPEED = 2.0
 
 BLOCK_EVERY = 5.0
 """Seconds between two blocks of text where there is no terminal."""
-
-LISTEN = 0.001
-"""Seconds of listening for every 10 ms of the recording."""
-
-REFUSALS = (BagError, SettingsError, MessageTypeError, ParameterFileError)
-"""What bad input raises."""
 
 
 def running_node(inputs: Inputs, parameter_file: Path | None, log: Path) -> NodeProcess:
@@ -99,11 +93,6 @@ def parser() -> argparse.ArgumentParser:
         type=Path,
         default=Path("output"),
         help="folder for the results and the node's log (output)",
-    )
-    result.add_argument(
-        "--domain",
-        type=number(int, 0, LAST_DOMAIN, f" is no ROS domain: there are 0 to {LAST_DOMAIN}"),
-        help="ROS domain, to watch with other tools (one of its own)",
     )
     return result
 
@@ -162,21 +151,18 @@ def play(
         if node.poll() is not None:
             return False
         player.wait_for_node()
-        listener = open_.enter_context(contextlib.closing(Listener(ending)))
-        watched = listener.listen(NODE_NAME)
+        watched = listen(player, NODE_NAME)
         view = open_.enter_context(contextlib.closing(View()))
         period = view.period if sys.stdout.isatty() else BLOCK_EVERY
         shown = time.monotonic()
 
         def show(_: int) -> None:
             nonlocal shown
-            listener.spin_for(LISTEN)
             if time.monotonic() - shown >= period:
                 view.show(watched)
                 shown = time.monotonic()
 
         player.play(messages, speed=speed, on_time=show, in_step=True)
-        listener.spin_for(1.0)
         view.show(watched)
         return watched.newest is not None
 
@@ -186,7 +172,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     end_as_on_ctrl_c()
     try:
-        with own_domain(options.domain), tempfile.TemporaryDirectory() as logs:
+        with own_domain(), tempfile.TemporaryDirectory() as logs:
             os.environ["ROS_LOG_DIR"] = logs
             return run_demo(options)
     except REFUSALS as error:

@@ -8,32 +8,26 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 
 HIGHEST_DOMAIN = 101
 """Highest ROS domain whose ports are free of the system's ephemeral ones."""
-
-LAST_DOMAIN = 232
-"""The last that has ports at all."""
 
 CLAIM = "\0uav_ident_ros/domain/{}"
 """Abstract socket that stands for a domain: it belongs to one process and ends with it."""
 
 
 @contextmanager
-def own_domain(
-    # The domain; one that no other such process of this machine has if left out
-    domain: int | None = None,
-) -> Iterator[int]:
+def own_domain() -> Iterator[int]:
     """Keep the traffic of this process and its children to this machine and one domain.
 
     Yields
     ------
     int
-        The domain.
+        The domain: one that no other such process of this machine has.
     """
-    with _claimed() if domain is None else nullcontext(domain) as chosen:
+    with _claimed() as chosen:
         own = {"ROS_DOMAIN_ID": str(chosen), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         before = {name: os.environ.get(name) for name in own}
         os.environ.update(own)

@@ -54,7 +54,6 @@ def test_ctrl_c_ends_it_and_its_node_while_it_plays(tmp_path: Path) -> None:
         (("none",), "bag 'none' does not exist"),
         (("--speed", "9"), "'9': 0.1 to 5 times real time"),
         (("--speed", "fast"), "'fast': 0.1 to 5 times real time"),
-        (("--domain", "233"), "'233' is no ROS domain: there are 0 to 232"),
         ((str(ROOT / "bags" / "multisine"), "--params-file", "none.yaml"), "there is no such file"),
     ],
 )

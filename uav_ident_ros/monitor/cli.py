@@ -92,19 +92,20 @@ class Listener(Guest):
             )
         return found[0] if found else ""
 
-    def listen(self, node: str) -> WatchedNode:
-        """Begin to listen to an identifier, by its full name."""
-        watched, topic = WatchedNode(node), f"{node}/{OUTPUT}"
 
-        def take_status(message: DiagnosticArray) -> None:
-            for status in message.status:
-                if status.name == node:
-                    watched.diagnosed(status.message, {v.key: v.value for v in status.values})
-                    watched.publishers = self.node.count_publishers(topic)
+def listen(guest: Guest, node: str) -> WatchedNode:
+    """Begin to listen to an identifier, by its full name."""
+    watched, topic = WatchedNode(node), f"{node}/{OUTPUT}"
 
-        subscribe(self.node, CoefficientSource(Fallback.REFUSE), topic, watched.take)
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", take_status, STATUS_DEPTH)
-        return watched
+    def take_status(message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == node:
+                watched.diagnosed(status.message, {v.key: v.value for v in status.values})
+                watched.publishers = guest.node.count_publishers(topic)
+
+    subscribe(guest.node, CoefficientSource(Fallback.REFUSE), topic, watched.take)
+    guest.node.create_subscription(DiagnosticArray, "/diagnostics", take_status, STATUS_DEPTH)
+    return watched
 
 
 def parser() -> argparse.ArgumentParser:
@@ -143,7 +144,7 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
     if not node:
         print(f"monitor: no identifier was found for {timeout:g} s", file=sys.stderr)
         return NOTHING_RECEIVED
-    watched = listener.listen(node)
+    watched = listen(listener, node)
     listener.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
     if watched.newest is None and not watched.state:
         print(f"monitor: no message of '{node}' for {timeout:g} s", file=sys.stderr)
@@ -160,7 +161,7 @@ def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
         print("monitor: looking for an identifier (Ctrl-C ends it)", file=sys.stderr)
     while not node:
         node = listener.find(LOOK_AGAIN)
-    watched = listener.listen(node)
+    watched = listen(listener, node)
     with closing(View(plain)) as view:
         while True:
             view.show(watched)
