@@ -180,17 +180,20 @@ def gone(group: int) -> bool:
     return False
 
 
-def test_an_empty_folder_is_refused_and_stops_no_other(
+def test_an_empty_folder_and_a_pipe_are_refused_and_stop_no_other(
     logs: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     (tmp_path / "empty").mkdir()
     assert main([str(tmp_path / "empty")]) == NO_RESULT
     assert re.match(r"replay: folder '.*empty' has no bags: ", capsys.readouterr().err)
-    bags = [str(tmp_path / "empty"), str(logs / "tuesday" / "flight")]
-    assert main([*bags, "--output", str(tmp_path / "out"), "--jobs", "1"]) == NO_RESULT
+    os.mkfifo(tmp_path / "pipe.mcap")
+    bags = [tmp_path / "empty", tmp_path / "pipe.mcap", logs / "tuesday" / "flight"]
+    output = ["--output", str(tmp_path / "out"), "--jobs", "1"]
+    assert main([*map(str, bags), *output]) == NO_RESULT
     captured = capsys.readouterr()
     assert "replay: empty: bag " in captured.err
-    assert "2 bags: 1 not usable, 1 no result" in captured.out
+    assert "pipe.mcap' is neither a file on a disk nor a folder" in captured.err
+    assert "3 bags: 1 not usable, 2 no result" in captured.out
 
 
 # --- the table of flights ----------------------------------------------------------------------

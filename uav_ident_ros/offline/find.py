@@ -96,6 +96,8 @@ def bag_files(bag: Path) -> list[tuple[str, int, str]]:
 
 def name_size_hash(file: Path) -> tuple[str, int, str]:
     """Return name, size in bytes and SHA-256 of a file; raises `BagError`."""
+    if file.exists() and not file.is_file():  # a pipe would block for ever
+        raise BagError(f"bag '{file}' is no file on a disk")
     try:
         with file.open("rb") as content:
             digest = hashlib.file_digest(content, "sha256").hexdigest()
