@@ -82,9 +82,9 @@ def test_foreign_type_is_read_by_its_definition_in_the_bag(tmp_path: Path) -> No
     store.register(get_types_from_msg(FOREIGN_TEXT, FOREIGN))
     control = np.arange(8, dtype=np.float32)
     message = store.types[FOREIGN](timestamp=5, timestamp_sample=4, control=control)
-    with BagWriter(tmp_path / "bag", typestore=store) as writer:
-        writer.topic("/servos", FOREIGN)
-        writer.write("/servos", 1, message)
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/servos", FOREIGN, typestore=store)
+        writer.write(connection, 1, store.serialize_cdr(message, FOREIGN))
     with Bag(tmp_path / "bag") as bag:
         decode = bag.decoder("/servos")
         (read,) = [decode(m.data) for m in bag.messages(["/servos"])]

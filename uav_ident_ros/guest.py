@@ -3,7 +3,6 @@
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -84,14 +83,14 @@ class Guest:
         self,
         name: str,
         ending: Ending | None = None,  # Takes the signals, where others must not be interrupted
-        **options: Any,
     ) -> None:
         self._ending = ending
         context = Context()
         context.init(args=[])
         self.node = Node(
-            name, context=context, use_global_arguments=False, enable_rosout=False, **options
-        )
+            name, context=context, use_global_arguments=False, enable_rosout=False,
+            start_parameter_services=False,
+        )  # fmt: skip
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
 

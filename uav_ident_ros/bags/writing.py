@@ -127,11 +127,8 @@ class BagWriter:
         self,
         path: Path | str,  # Folder of the new bag; must not exist
         compress: bool = False,  # Compress the chunks with zstd
-        # Message types, for bags with types outside of ROS 2 Jazzy's own
-        typestore: Typestore | None = None,
     ) -> None:
         self.path = Path(path)
-        self.types = typestore or jazzy_types()
         self._topics: dict[str, Connection] = {}
         try:
             self._writer = Writer(
@@ -165,20 +162,20 @@ class BagWriter:
     ) -> None:
         """Announce a topic."""
         self._topics[name] = self._writer.add_connection(
-            name, msgtype, typestore=self.types, offered_qos_profiles=(qos,) if qos else ()
+            name, msgtype, typestore=jazzy_types(), offered_qos_profiles=(qos,) if qos else ()
         )
 
     def write(
         self,
         topic: str,  # An announced topic
         log_time_ns: int,  # Log time, ns
-        # Message as a dataclass of the typestore (see `message_class`), or its CDR bytes
+        # Message as a dataclass (see `message_class`), or its CDR bytes
         message: Any,
     ) -> None:
         """Write one message."""
         connection = self._topics[topic]
         if dataclasses.is_dataclass(message):
-            message = self.types.serialize_cdr(message, connection.msgtype)
+            message = jazzy_types().serialize_cdr(message, connection.msgtype)
         self._writer.write(connection, int(log_time_ns), message)
 
     def merge(self, streams: Iterable[Iterable[tuple[int, str, Any]]]) -> None:

@@ -54,43 +54,38 @@ class MonitorError(Exception):
     """There is not exactly one identifier to watch; the message says what there is."""
 
 
-class Listener(Guest):
-    """A node of its own that listens until it is asked to end, and publishes nothing."""
+def identifiers(guest: Guest) -> list[str]:
+    """Return the full names of the identifiers that publish now, sorted."""
+    return sorted(
+        topic.removesuffix(f"/{OUTPUT}")
+        for topic, types in guest.node.get_topic_names_and_types()
+        if topic.endswith(f"/{OUTPUT}")
+        and OUTPUT_TYPE in types
+        and guest.node.count_publishers(topic) > 0
+    )
 
-    def __init__(self, ending: Ending) -> None:
-        super().__init__("uav_ident_monitor", ending, start_parameter_services=False)
 
-    def identifiers(self) -> list[str]:
-        """Return the full names of the identifiers that publish now, sorted."""
-        return sorted(
-            topic.removesuffix(f"/{OUTPUT}")
-            for topic, types in self.node.get_topic_names_and_types()
-            if topic.endswith(f"/{OUTPUT}")
-            and OUTPUT_TYPE in types
-            and self.node.count_publishers(topic) > 0
+def find(
+    guest: Guest,
+    timeout: float,  # Seconds to look at most
+) -> str:
+    """Return the full name of the only identifier; empty if none turns up.
+
+    Raises
+    ------
+    MonitorError
+        If there are several.
+    """
+    if not guest.spin_for(timeout, lambda: bool(identifiers(guest))):
+        return ""
+    guest.spin_for(SETTLE)
+    found = identifiers(guest)
+    if len(found) > 1:
+        listed = "\n  ".join(found)
+        raise MonitorError(
+            f"there are {len(found)} identifiers: choose one with --node\n  {listed}"
         )
-
-    def find(
-        self,
-        timeout: float,  # Seconds to look at most
-    ) -> str:
-        """Return the full name of the only identifier; empty if none turns up.
-
-        Raises
-        ------
-        MonitorError
-            If there are several.
-        """
-        if not self.spin_for(timeout, lambda: bool(self.identifiers())):
-            return ""
-        self.spin_for(SETTLE)
-        found = self.identifiers()
-        if len(found) > 1:
-            listed = "\n  ".join(found)
-            raise MonitorError(
-                f"there are {len(found)} identifiers: choose one with --node\n  {listed}"
-            )
-        return found[0] if found else ""
+    return found[0] if found else ""
 
 
 def listen(guest: Guest, node: str) -> WatchedNode:
@@ -136,16 +131,16 @@ def _full_name(text: str) -> str:
     return name if name.startswith("/") else f"/{name}"
 
 
-def once(listener: Listener, node: str | None, timeout: float) -> int:
+def once(guest: Guest, node: str | None, timeout: float) -> int:
     """Print one block; return the exit status that tells what a controller may do."""
     from uav_ident_ros.monitor.picture import View  # before it listens: what it hears grows old
 
-    node = node or listener.find(timeout)
+    node = node or find(guest, timeout)
     if not node:
         print(f"monitor: no identifier was found for {timeout:g} s", file=sys.stderr)
         return NOTHING_RECEIVED
-    watched = listen(listener, node)
-    listener.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
+    watched = listen(guest, node)
+    guest.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
     if watched.newest is None and not watched.state:
         print(f"monitor: no message of '{node}' for {timeout:g} s", file=sys.stderr)
         return NOTHING_RECEIVED
@@ -153,19 +148,19 @@ def once(listener: Listener, node: str | None, timeout: float) -> int:
     return USABLE if watched.usable else NOT_USABLE
 
 
-def watch(listener: Listener, node: str | None, plain: bool) -> NoReturn:
+def watch(guest: Guest, node: str | None, plain: bool) -> NoReturn:
     """Show an identifier for as long as this runs; wait for one if there is none."""
     from uav_ident_ros.monitor.picture import View
 
     if not node:
         print("monitor: looking for an identifier (Ctrl-C ends it)", file=sys.stderr)
     while not node:
-        node = listener.find(LOOK_AGAIN)
-    watched = listen(listener, node)
+        node = find(guest, LOOK_AGAIN)
+    watched = listen(guest, node)
     with closing(View(plain)) as view:
         while True:
             view.show(watched)
-            listener.spin_for(view.period)
+            guest.spin_for(view.period)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -175,11 +170,11 @@ def main(arguments: list[str] | None = None) -> int:
         print(NO_RICH, file=sys.stderr)
         return USAGE_ERROR
     ending = Ending()  # before there is anything to leave
-    listener = Listener(ending)
+    guest = Guest("uav_ident_monitor", ending)
     try:
         if options.once:
-            return once(listener, options.node, options.timeout)
-        watch(listener, options.node, options.plain)
+            return once(guest, options.node, options.timeout)
+        watch(guest, options.node, options.plain)
     except MonitorError as error:
         print(f"monitor: {error}", file=sys.stderr)
         return USAGE_ERROR
@@ -189,7 +184,7 @@ def main(arguments: list[str] | None = None) -> int:
         reader_has_gone()
         return 0
     finally:
-        listener.close()
+        guest.close()
         ending.close()
 
 
