@@ -44,39 +44,9 @@ def _learn(store: Typestore, connection: Connection) -> None:
     store.register({name: one for name, one in found.items() if name not in store.types})
 
 
-class Ros1Reader:
-    """Reads a bag of ROS 1; in use like rosbags' Reader for ROS 2.
-
-    Messages of the common interfaces are the same in both but for the header's `seq`; those of
-    other types are read by the definitions in the bag.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path  # The file
-        self._reader = ReaderOfRos1(path)
-        self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._reader.open()
-        self.connections = self._reader.connections  # Its topics
-        # start_time, end_time: Log time of the first message and the time after the last, ns
-        self.start_time, self.end_time = self._reader.start_time, self._reader.end_time
-
-    def close(self) -> None:
-        """Close the file."""
-        self._reader.close()
-
-    def messages(
-        self, connections: Collection[Connection]
-    ) -> Iterator[tuple[Connection, int, bytes]]:
-        """Yield connection, log time and bytes (CDR) of the messages of some connections."""
-        for connection in connections:
-            _learn(self._store, connection)
-        for connection, log_ns, data in self._reader.messages(connections):
-            yield connection, log_ns, bytes(self._store.ros1_to_cdr(data, connection.msgtype))
-
-
 guard_rosbags()
 
-AnyReader: TypeAlias = Reader | SalvageReader | Ros1Reader
+AnyReader: TypeAlias = Reader | SalvageReader | ReaderOfRos1
 
 
 class BagError(Exception):
@@ -189,11 +159,22 @@ class Bag:
             count = 0
             try:
                 for connection, log_ns, data in reader.messages(connections):
+                    if isinstance(reader, ReaderOfRos1):
+                        data = self._of_ros_2(data, connection)
                     count += 1
                     yield Message(connection.topic, log_ns, data)
             except Exception as error:
                 # Damaged bytes make the parser fail in many ways: struct, zstd, reader errors.
                 yield from islice(self._saved(reader, topics, count, _reason(error)), count, None)
+
+    def _of_ros_2(self, data: bytes, connection: Connection) -> bytes:
+        """Return a message of ROS 1 in the form of ROS 2.
+
+        Those of the common interfaces are the same in both but for the header's `seq`; those of
+        other types are read by the definitions in the bag.
+        """
+        _learn(self._store, connection)
+        return bytes(self._store.ros1_to_cdr(data, connection.msgtype))
 
     def _saved(
         self, reader: AnyReader, topics: Collection[str], count: int, reason: str
@@ -308,11 +289,10 @@ def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
     return sorted(readers, key=lambda reader: reader.start_time)
 
 
-def _open(storage: Path) -> Reader | Ros1Reader:
+def _open(storage: Path) -> Reader | ReaderOfRos1:
     """Open a file, or a folder with metadata."""
-    if storage.suffix == SUFFIX_OF_ROS_1 and storage.is_file():
-        return Ros1Reader(storage)
-    reader = Reader(storage)
+    of_ros_1 = storage.suffix == SUFFIX_OF_ROS_1 and storage.is_file()
+    reader = ReaderOfRos1(storage) if of_ros_1 else Reader(storage)
     reader.open()
     return reader
 
