@@ -23,7 +23,7 @@ from uav_ident_ros.import_logs.flight_log import (
     printable,
 )
 from uav_ident_ros.import_logs.px4 import read_px4
-from uav_ident_ros.import_logs.stamps import describe, doubts, gaps_in_words, pauses
+from uav_ident_ros.import_logs.stamps import describe, doubts
 
 DAMAGED = 1
 """Exit status if a part of the log could not be read."""
@@ -190,13 +190,10 @@ def _first_bytes(path: Path) -> bytes:
 
 def _note_streams(log: FlightLog) -> None:
     """Add to the findings what the stamps tell."""
-    sampled = {name: stream.t_ns for name, stream in log.streams.items() if name != CHANGES}
-    paused, limit_ns = pauses(list(sampled.values()))
-    words = gaps_in_words(paused, limit_ns)
-    log.findings.lost += [f"nothing was logged: {word}" for word in words]
-    for name, t_ns in sampled.items():
-        log.findings.note(f"{name}: {describe(t_ns)}")
-        log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(t_ns, paused)]
+    for name, stream in log.streams.items():
+        if name != CHANGES:
+            log.findings.note(f"{name}: {describe(stream.t_ns)}")
+            log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(stream.t_ns)]
     values = log.streams["actuators"].values[:, [column for column, _ in log.used]]
     if without := int((~np.isfinite(values)).any(axis=1).sum()):
         log.findings.doubt(

@@ -66,61 +66,26 @@ def describe(t_ns: TimeArray) -> str:
     return f"{len(t_ns)} samples over {seconds:.1f} s at {rate(t_ns):.4g} Hz"
 
 
-def doubts(t_ns: TimeArray, paused: TimeArray | None = None) -> list[str]:
-    """Say what is wrong with the stamps of a stream: gaps, repetitions, steps back.
-
-    Gaps of the whole log (k, 2), of which more is said elsewhere, are left out.
-    """
+def doubts(t_ns: TimeArray) -> list[str]:
+    """Say what is wrong with the stamps of a stream: gaps, repetitions, steps back."""
     steps = np.diff(t_ns)
     result = []
     if back := int((steps < 0).sum()):
         result.append(f"{back} stamps are earlier than the one before")
     if same := int((steps == 0).sum()):
         result.append(f"{same} stamps repeat the one before")
-    limit_ns = _longest_step(t_ns)
-    found = _gaps(t_ns, limit_ns)
-    if paused is not None:
-        found = found[[not _mostly_in(gap, paused) for gap in found]]
-    return result + gaps_in_words(found, limit_ns)
-
-
-def pauses(streams: Sequence[TimeArray]) -> tuple[TimeArray, float]:
-    """Return the gaps that all streams have in common, (k, 2), and their least length, ns."""
-    limit_ns = min((_longest_step(t_ns) for t_ns in streams), default=np.inf)
-    every = np.unique(np.concatenate([*streams, np.zeros(0, dtype=np.int64)]))
-    return _gaps(every, limit_ns), limit_ns
-
-
-def gaps_in_words(gaps: TimeArray, limit_ns: float) -> list[str]:
-    """Say how many gaps (k, 2) of some length there are, and how long they last; empty if none."""
-    if not len(gaps):
-        return []
-    lengths = (gaps[:, 1] - gaps[:, 0]).astype(float) / NS_PER_S
-    longest = int(np.argmax(lengths))
-    return [
-        f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} of more than {limit_ns / NS_PER_S:.3g} s, "
-        f"together {lengths.sum():.3g} s, the longest {lengths[longest]:.3g} s at "
-        f"{float(gaps[longest, 0]) / NS_PER_S:.2f} s"
-    ]
-
-
-def _longest_step(t_ns: TimeArray) -> float:
-    """Longest interval of a stream that is no gap, ns."""
-    usual = rate(t_ns)
-    return max(GAP_INTERVALS / usual, SHORTEST_GAP) * NS_PER_S if usual else np.inf
-
-
-def _gaps(t_ns: TimeArray, limit_ns: float) -> TimeArray:
-    """Start and end of the intervals longer than a limit, ns, (k, 2)."""
-    before = np.flatnonzero(np.diff(t_ns) > limit_ns)
-    return np.column_stack([t_ns[before], t_ns[before + 1]])
-
-
-def _mostly_in(gap: TimeArray, others: TimeArray) -> bool:
-    """Whether most of a gap lies in others (k, 2)."""
-    start, end = gap
-    shared = np.minimum(others[:, 1], end) - np.maximum(others[:, 0], start)
-    return bool(2 * np.maximum(shared, 0).sum() > end - start)
+    if not (usual := rate(t_ns)):
+        return result
+    limit = max(GAP_INTERVALS / usual, SHORTEST_GAP)
+    gaps = steps > limit * NS_PER_S
+    if count := int(gaps.sum()):
+        longest, seconds = int(np.argmax(steps)), steps / NS_PER_S
+        result.append(
+            f"{count} gap{'s' if count > 1 else ''} of more than {limit:.3g} s, together "
+            f"{seconds[gaps].sum():.3g} s, the longest {seconds[longest]:.3g} s at "
+            f"{t_ns[longest] / NS_PER_S:.2f} s"
+        )
+    return result
 
 
 def inside(t_ns: TimeArray, stretches: Stretches) -> BoolArray:
