@@ -326,3 +326,16 @@ def test_a_surface_that_fails_loses_its_force_with_its_moment(seed: int) -> None
         found = last.coefficients[FLIGHT.index(name)]
         assert found == pytest.approx(-TRUTH[name], rel=0.2), name
         assert abs(found + TRUTH[name]) < 2.0 * last.sigma[FLIGHT.index(name)], name
+
+
+@pytest.mark.parametrize("seed", [1, 3, 6])
+def test_where_the_elevator_rests_lift_holds_the_angle_of_attack(seed: int) -> None:
+    """In calm air the rudder alone moves: angles of a radian made its yaw look like a roll."""
+    segments = (Segment("multisine", 0.0, 120.0, {"dr": 0.08}, 10.0, (0.2, 2.0), seed=seed),)
+    flight = LightFlight(segments, 120.0, delay=0.02, seed=seed).fly()
+    m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15), seed)
+    estimates = identified(m)[1]
+    assert max(abs(e.flow.alpha) for e in estimates[1000:] if e.flow is not None) < 0.5
+    for name in ("ay/beta", "rdot/r", "rdot/beta", "rdot/dr"):
+        place = FLIGHT.index(name)
+        assert estimates[-1].coefficients[place] == pytest.approx(TRUTH[name], rel=0.4)

@@ -47,7 +47,8 @@ def test_lift_is_weight_and_side_force_a_sixth_of_it() -> None:
     assert slopes[FLIGHT.index("ay/beta")] == pytest.approx(lift / 6.0, rel=0.2)
     assert sigma("az/alpha") == -lift
     bounds = prior.slope_bounds(FLIGHT)
-    assert bounds[FLIGHT.index("az/alpha")] == pytest.approx(0.1 * lift)
+    assert bounds[FLIGHT.index("az/alpha")] == pytest.approx(-GRAVITY * 4.0 / 1.6, rel=0.2)
+    assert bounds[FLIGHT.index("ay/beta")] == pytest.approx(0.1 * slopes[FLIGHT.index("ay/beta")])
 
 
 def test_a_rudder_turns_most_of_what_makes_side_force_an_elevator_little_of_the_lift() -> None:

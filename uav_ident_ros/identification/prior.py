@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.rigid_body import Inertia, product_coefficients
 from uav_ident_ros.identification.scales import SURE
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings, SettingsError
@@ -50,6 +51,11 @@ SIDE_FORCE_SLOPE, LIFT_SLOPE = -15.0, -100.0
 """Where `ay/beta` and `az/alpha` start, m/s^2 per rad, with a standard deviation of the same size.
 In level flight lift is weight, so that ``az/alpha = -g C_La / C_L`` whatever the aircraft's size:
 C_La is 4 to 6 per rad and C_L 0.2 to 0.8; the side force of fuselage and fin is a sixth of it."""
+
+LARGEST_LIFT_ANGLE = 0.4
+"""Angle of attack from that without lift, rad, at which every wing has stalled. Level flight needs
+less: ``az/alpha`` is beyond ``-g / 0.4``. Where the elevator rests in calm air nothing else holds
+it, and angles of a radian turned sideslip into roll (``p alpha``)."""
 
 FORCE_SIGMA = INPUT_SIGMA / abs(LIFT_SLOPE)
 """Prior standard deviation of the moments that go with specific forces, rad/s^2 per m/s^2."""
@@ -129,11 +135,13 @@ def first_values(structure: Structure) -> FloatArray:
 def slope_bounds(structure: Structure) -> FloatArray:
     """Largest values of the coefficients, shape (R, n): a force opposes its flow angle.
 
-    What is divided by must not vanish; a tenth of where it starts is less than any wing has.
+    What is divided by must not vanish: a tenth of where the side force starts is less than any
+    aircraft has, and lift holds it in level flight.
     """
     bounds = np.full(structure.mask.shape, np.inf)
-    values = first_values(structure)
-    bounds[values < 0.0] = 0.1 * values[values < 0.0]
+    if structure.has_flow:
+        bounds[structure.index("ay/beta")] = 0.1 * SIDE_FORCE_SLOPE
+        bounds[structure.index("az/alpha")] = -GRAVITY / LARGEST_LIFT_ANGLE
     return bounds
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -232,6 +233,7 @@ class Supervisor:
             or denied[i]
             or young
             or _poor_fit(settings, running, i)
+            or self._unknown_input(i, coefficients, sigma, float(model_error[i]))
             or _incomplete(i, float(model_error[i]), settings.min_t_ratio)
             or self._unknown_input(i, coefficients, sigma)
             or self.confirmed.doubt(i)
@@ -241,11 +243,17 @@ class Supervisor:
         self._proven = self._proven or verdict.usable
         return verdict
 
-    def _unknown_input(self, row: int, coefficients: FloatArray, sigma: FloatArray) -> str:
-        """Return how the main control derivative of a row is not known; empty if it is."""
+    def _unknown_input(
+        self, row: int, coefficients: FloatArray, sigma: FloatArray, beside: float = 0.0
+    ) -> str:
+        """Return how the main control derivative of a row is not known; empty if it is.
+
+        What the model error, relative, has `beside` in sigma is left out.
+        """
         name, index = self._mains[row]
         needed = self.settings.supervision.min_t_ratio
         value, spread = abs(coefficients.item(index)), sigma.item(index)
+        spread = math.sqrt(max(spread**2 - (beside * value) ** 2, 0.0))
         ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
         if ratio >= needed:
             return ""
