@@ -147,6 +147,7 @@ def _fly(
     *,
     excitation: Sequence[tuple[float, float]] = (),
     inputs: str = "multisine",
+    surfaces: Sequence[str] = (),
     scale: float = 1.0,
     duration: float = 120.0,
     bank: float = 0.0,
@@ -158,9 +159,12 @@ def _fly(
     spoil: Callable[[Measurements], Measurements] | None = None,
     **light: Any,
 ) -> Measurements:
-    """Fly one and measure it; `wind` in m/s rms, of JSBSim aircraft the severity 0 to 7."""
+    """Fly one and measure it; `wind` in m/s rms, of JSBSim aircraft the severity 0 to 7.
+
+    Excited are the `surfaces` named, all if none is.
+    """
     own = PEAKS if aircraft == "light_aircraft" else airframe(aircraft).excitation
-    peaks = {name: scale * peak for name, peak in own.items()}
+    peaks = {n: scale * peak for n, peak in own.items() if not surfaces or n in surfaces}
     segments = [
         Segment(inputs, start, until - start, peaks, seed=seed) for start, until in excitation
     ]
@@ -343,6 +347,18 @@ def _in_turn(seed: int, length: float) -> Iterator[Trial]:
             yield replace(trial, name=f"{trial.name}, {inputs}")
 
 
+def _partly(seed: int, length: float) -> Iterator[Trial]:
+    """One surface is excited, the others only hold the aircraft."""
+    for aircraft, bank, wind in (
+        ("light_aircraft", 0.0, 0.0), ("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0),
+        ("T37", 20.0, 2), ("A4", 0.0, 0), ("ultra_stick_25e", 20.0, 1),
+    ):  # fmt: skip
+        for surface in ("de", "dr", "da"):
+            words = f"bank {bank:g}, wind {wind:g}, {surface} alone"
+            flight = {"surfaces": (surface,), "duration": length * 110.0, **ALWAYS}
+            yield _trial("partly", seed, aircraft, words, {}, bank=bank, wind=wind, **flight)
+
+
 def _unseen(seed: int, length: float) -> Iterator[Trial]:
     """Aircraft on which nothing was ever chosen: excited, and under an autopilot alone."""
     for file in sorted(AIRFRAMES.glob("*.yaml")):
@@ -467,6 +483,7 @@ CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "glitch": _glitch,
     "clean": _clean,
     "in_turn": _in_turn,
+    "partly": _partly,
     "unseen": _unseen,
     "random": _random,
     "closed_loop": _closed_loop,

@@ -81,13 +81,13 @@ class ModelError:
         self._early: FloatArray = np.zeros(len(ROWS))
         self.height = 0.0
 
-    @property
-    def doubt(self) -> FloatArray:
-        """The same, (3,), or what comes early in any row, if that is more.
+    def doubt(self, known: BoolArray) -> FloatArray:
+        """Return `share`, (3,), or what comes early in any of the rows `known`, if that is more.
 
-        Delay and lag are one setting for all inputs, and nothing but they makes one look early.
+        Delay and lag are one setting for all inputs, and nothing but they makes one look early that
+        is known to do something, (3,).
         """
-        return np.maximum(self.share, self._early.max())
+        return np.maximum(self.share, self._early.max(initial=0.0, where=known))
 
     def forget(self, row: int) -> None:
         """Forget what a row has shown: it is learned anew."""

@@ -20,7 +20,13 @@ from uav_ident_ros.identification.estimators.model_error import ModelError
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
-from uav_ident_ros.identification.scales import LOOK_TIME, OUTLYING, SHORT_MEMORY, START_TIME
+from uav_ident_ros.identification.scales import (
+    LOOK_TIME,
+    OUTLYING,
+    SHORT_MEMORY,
+    START_TIME,
+    SURE,
+)
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
@@ -29,6 +35,7 @@ from uav_ident_ros.identification.structure import (
     RATE_COLUMNS,
     ROWS,
     STRUCTURES,
+    BoolArray,
     FloatArray,
 )
 
@@ -94,7 +101,7 @@ class RecursiveRegression:
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
         self.clear = self._gate.clear
         self.answers = self._feedback.share
-        self.model_error, self.height = self._error.doubt, self._error.height
+        self.model_error, self.height = self._error.share, self._error.height
         self._begin_changes()
         self._solve()
 
@@ -150,7 +157,8 @@ class RecursiveRegression:
         # In quiet flight gusts and an autopilot's answers are all there is to look at.
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
-        self.model_error, self.height = self._error.doubt, self._error.height
+        self.model_error = self._error.doubt(self._known_inputs())
+        self.height = self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
         answering = None if samples.injected else self._feedback.answering
@@ -158,6 +166,12 @@ class RecursiveRegression:
         self._follow_changes(samples)
         self._since_sigma += samples.time
         self._solve(0.5 * samples.dt)
+
+    def _known_inputs(self) -> BoolArray:
+        """Return of which rows the main input's effect is known, model errors apart, (3,)."""
+        value, sigma = self.coefficients[MAIN_DERIVATIVES], self._settled_sigma[MAIN_DERIVATIVES]
+        chance = sigma**2 - (self._error.share * value) ** 2
+        return np.asarray(value**2 > SURE**2 * chance)
 
     def _influence(self, samples: Regression) -> float:
         """Factor of the instruments of injected samples, 0 ... 1.
