@@ -11,7 +11,7 @@ from flying import errors, identified, linear_names, messages, plant_flight, run
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.simulation.channels import QUADROTOR
+from uav_ident_ros.simulation.channels import CHANNEL_SETS
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.noise import Sensors, measure
@@ -111,21 +111,22 @@ def test_memory_stays_bounded(feed: str, own: dict[str, Any], interval: int) -> 
 # -- what must not matter ----------------------------------------------------------------------
 
 
-VARIANTS: list[tuple[dict[str, Any], float]] = [
-    ({"rate": 50.0, "convention": "frd"}, 0.03),  # products of rates are no straight lines
-    ({"rate": 1000.0}, 0.01),
-    ({"drop": 0.2}, 0.01),
-    ({"stamp_jitter": 0.005}, 0.05),
-    ({"stamped": False}, 0.01),
+VARIANTS: list[tuple[str, dict[str, Any], float]] = [
+    # products of rates are no straight lines
+    ("plain", {"rate": 50.0, "convention": "frd"}, 0.03),
+    ("pwm", {"rate": 1000.0}, 0.01),
+    ("elevon", {"drop": 0.2}, 0.01),
+    ("plain", {"stamp_jitter": 0.005}, 0.05),
+    ("quadrotor", {"stamped": False}, 0.01),
 ]
 
 
-@pytest.mark.parametrize(("variant", "limit"), VARIANTS)
+@pytest.mark.parametrize(("channels", "variant", "limit"), VARIANTS)
 def test_how_it_is_measured_does_not_matter(
-    calm_flight: Flight, variant: dict[str, Any], limit: float
+    calm_flight: Flight, channels: str, variant: dict[str, Any], limit: float
 ) -> None:
-    """Noise-free, so that the pairing of rates and inputs is all that is tested; channels mixed."""
-    m = measure(replace(calm_flight, channel_set=QUADROTOR), Sensors(**variant))
+    """Noise-free, so that the pairing of rates and inputs is all that is tested."""
+    m = measure(replace(calm_flight, channel_set=CHANNEL_SETS[channels]), Sensors(**variant))
     _, (*_, last) = identified(m, estimator="least_squares")
     assert (
         worst(errors(last.coefficients, "augmented", calm_flight, linear_names(calm_flight)))

@@ -16,7 +16,7 @@ from ulog_writing import Columns, commands, padded, sensor_combined, stamps, wri
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.frames import quaternions, rotation
 from uav_ident_ros.offline import NOT_USABLE
-from uav_ident_ros.simulation.channels import QUADROTOR
+from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4_quad_sample.ulg"
 
@@ -104,8 +104,8 @@ def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
     }  # fmt: skip
     bag, values, _ = px4(importer, topics, airframe, "--trim", "neutral")
     assert bag.names == ["motor_1", "left_elevon", "right_elevon"]
-    expected = [[0, -0.5, -0.5], [0, 0, 0], [0, -0.5, 0.5], [1, 0, 0]]  # down is positive
-    np.testing.assert_allclose(mixing(values), expected, atol=1e-12)
+    expected = ELEVON.mixing[:, [3, 0, 1]] * [1.0, -1.0, -1.0]
+    np.testing.assert_allclose(mixing(values), expected * [[1], [0], [1], [1]], atol=1e-12)
     np.testing.assert_allclose(values["actuators.trim"], [0.0, 0.0, 0.1])
     np.testing.assert_array_equal(bag.actuator_t_ns, COMMAND_NS + 30_000)
     np.testing.assert_array_equal(bag.actuators, np.hstack([motors, servos]).astype(np.float32))

@@ -15,7 +15,7 @@ from uav_ident_ros.bags.writing import TWIST, BagWriteError, BagWriter
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.simulation import recording
-from uav_ident_ros.simulation.channels import PLAIN, QUADROTOR, ChannelSet
+from uav_ident_ros.simulation.channels import CHANNEL_SETS
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -85,12 +85,12 @@ def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
         assert (first / name).read_bytes() == (second / name).read_bytes()
 
 
-@pytest.mark.parametrize("channels", [PLAIN, QUADROTOR], ids=["plain", "motors"])
+@pytest.mark.parametrize("channels", ["plain", "elevon", "quadrotor", "pwm"])
 @pytest.mark.parametrize("stamped", [True, False])
 def test_the_parameters_beside_the_bag_are_the_identifiers(
-    tmp_path: Path, channels: ChannelSet, stamped: bool
+    tmp_path: Path, channels: str, stamped: bool
 ) -> None:
-    flight, path = replace(FLIGHT.fly(), channel_set=channels), tmp_path / "bag"
+    flight, path = replace(FLIGHT.fly(), channel_set=CHANNEL_SETS[channels]), tmp_path / "bag"
     measured = measure(flight, Sensors(stamped=stamped))
     write_bag(measured, path)
     content = yaml.safe_load((path / "identifier.yaml").read_text())["/**"]["ros__parameters"]
@@ -190,11 +190,15 @@ def test_latency_delays_the_log_in_order(flight: Flight) -> None:
     assert np.all(np.diff(measured.imu_log_ns) >= 0)
 
 
-def test_signs_of_the_motors() -> None:
+def test_signs_of_the_channel_sets() -> None:
     trim = np.array([0.0, 0.0, 0.0, 0.5])
     roll_right = np.array([[0.0, 0.0, 0.1, 0.0]])
-    thrust = dict(zip(QUADROTOR.names, QUADROTOR.raw(roll_right, trim)[0], strict=True))
+    left, right, *_ = CHANNEL_SETS["elevon"].raw(roll_right, trim)[0]
+    assert left > 0.0 > right  # left trailing edge down lifts the left wing
+    motors = CHANNEL_SETS["quadrotor"]
+    thrust = dict(zip(motors.names, motors.raw(roll_right, trim)[0], strict=True))
     assert thrust["motor_front_left"] > 0.5 > thrust["motor_front_right"]
-    nose_down = QUADROTOR.raw(np.array([[0.1, 0.0, 0.0, 0.0]]), trim)[0]
-    thrust = dict(zip(QUADROTOR.names, nose_down, strict=True))
+    nose_down = motors.raw(np.array([[0.1, 0.0, 0.0, 0.0]]), trim)[0]
+    thrust = dict(zip(motors.names, nose_down, strict=True))
     assert thrust["motor_rear_left"] > 0.5 > thrust["motor_front_left"]
+    assert CHANNEL_SETS["pwm"].raw(np.zeros((1, 4)), trim)[0].tolist() == [1500, 1500, 1500, 1500]

@@ -62,7 +62,7 @@ def test_the_command_makes_the_committed_bag(tmp_path: Path, name: str) -> None:
 
 
 def test_options_reach_the_bag(tmp_path: Path) -> None:
-    arguments = "--duration 3 --imu-rate 50 --convention frd --unstamped"
+    arguments = "--duration 3 --imu-rate 50 --convention frd --unstamped --channels elevon"
     assert main(["--output", str(tmp_path / "bag"), *arguments.split(), "--delay", "0.06"]) == 0
     force = [m.linear_acceleration.z for _, m in decoded(tmp_path / "bag")["/imu/data"]]
     assert len(force) == 151
@@ -71,6 +71,7 @@ def test_options_reach_the_bag(tmp_path: Path) -> None:
     parameters = content["/**"]["ros__parameters"]
     assert parameters["actuators.delay"] == 0.06
     assert parameters["actuators.type"] == "std_msgs/msg/Float64MultiArray"
+    assert parameters["actuators.mixing.da"] == [0.5, -0.5, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(

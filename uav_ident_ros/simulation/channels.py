@@ -19,6 +19,7 @@ class ChannelSet:
     names: tuple[str, ...]  # Names of the C channels
     # (C, 4) Raw channels from the inputs de, dr, da, dth (their total, trim included)
     allocation: FloatArray
+    offset: FloatArray | float = 0.0  # (C,) Raw values at zero inputs
 
     @property
     def mixing(self) -> FloatArray:
@@ -27,11 +28,11 @@ class ChannelSet:
 
     def raw(self, inputs: FloatArray, input_trim: FloatArray) -> FloatArray:
         """Raw channels, shape (M, C), from deviations (M, 4) and the trim (4,) they are from."""
-        return (inputs + input_trim) @ self.allocation.T
+        return np.asarray(self.offset + (inputs + input_trim) @ self.allocation.T)
 
     def trim(self, input_trim: FloatArray) -> FloatArray:
         """Raw channels in trimmed flight, shape (C,)."""
-        return np.asarray(self.allocation @ input_trim)
+        return np.asarray(self.offset + self.allocation @ input_trim)
 
     def inputs(self, raw: FloatArray, input_trim: FloatArray) -> FloatArray:
         """Deviations de, dr, da, dth, shape (M, 4), from raw channels (M, C)."""
@@ -40,6 +41,20 @@ class ChannelSet:
 
 PLAIN = ChannelSet(("elevator", "rudder", "aileron", "throttle"), np.eye(4))
 """One channel per input, rad and 0..1."""
+
+ELEVON = ChannelSet(
+    ("elevon_left", "elevon_right", "rudder", "throttle"),
+    # Trailing edge down is positive on both sides; left down and right up rolls right.
+    np.array(
+        [
+            [1.0, 0.0, 1.0, 0.0],
+            [1.0, 0.0, -1.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    ),
+)
+"""Two elevons: de = (left + right) / 2, da = (left - right) / 2."""
 
 QUADROTOR = ChannelSet(
     ("motor_front_right", "motor_rear_left", "motor_front_left", "motor_rear_right"),
@@ -55,3 +70,15 @@ QUADROTOR = ChannelSet(
     ),
 )
 """Four motors in X: pitch, yaw and roll differences and the collective."""
+
+PWM = ChannelSet(
+    ("servo_1", "servo_2", "servo_3", "servo_4"),
+    # 1500 us is centre, +-0.5 rad is +-500 us; the elevator servo is mounted the other way
+    # round; the throttle runs from 1000 to 2000 us.
+    np.diag([-1000.0, 1000.0, 1000.0, 1000.0]),
+    np.array([1500.0, 1500.0, 1500.0, 1000.0]),
+)
+"""Servo pulse widths, microseconds, elevator reversed."""
+
+CHANNEL_SETS = {"plain": PLAIN, "elevon": ELEVON, "quadrotor": QUADROTOR, "pwm": PWM}
+"""The channel sets by name."""

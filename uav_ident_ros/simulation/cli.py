@@ -5,7 +5,7 @@ import argparse
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
+from uav_ident_ros.simulation.channels import CHANNEL_SETS
 from uav_ident_ros.simulation.flight import SimulationError
 from uav_ident_ros.simulation.inputs import INPUT_KINDS, ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
@@ -112,6 +113,8 @@ def make_parser() -> argparse.ArgumentParser:
         help="aircraft: /airspeed is recorded, with this noise, m/s")  # fmt: skip
     add("--unstamped", dest="stamped", action="store_false",
         help="actuators as Float64MultiArray, no stamp")  # fmt: skip
+    add("--channels", choices=tuple(CHANNEL_SETS),
+        help="what the raw actuator channels are (plain; motors)")  # fmt: skip
     _add_numbers(sensors, SENSOR_OPTIONS)
     return parser
 
@@ -203,7 +206,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return USAGE_ERROR
     try:
         plan, sensors = flight_from(options)
-        measured = measure(plan.fly(options.output.name), sensors, options.seed)
+        flight = plan.fly(options.output.name)
+        if options.channels:
+            flight = replace(flight, channel_set=CHANNEL_SETS[options.channels])
+        measured = measure(flight, sensors, options.seed)
         write_bag(measured, options.output, options.compress)
     except (SimulationError, BagWriteError, OSError) as error:
         print(f"simulate: {error}", file=sys.stderr)
