@@ -142,7 +142,7 @@ def cell_means(
 
 
 RATE_SAMPLES = 4 * IN_A_ROW
-"""Samples from which the Imu's rate is found: their median stays though `IN_A_ROW` are lost, twice.
+"""Samples from which the Imu's rate is found: two losses of `IN_A_ROW` leave their median as it is.
 """
 
 FASTEST_CELL_NS = 1_000_000

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,12 +13,14 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.estimators.excitation import WINDOW_TIME
+from uav_ident_ros.identification.estimators.model_error import sigma_beside
 from uav_ident_ros.identification.gates import TOO_FAR, TOO_QUIET, Gate, Gates, ResidualGate
 from uav_ident_ros.identification.parallel_model import RunningFit
 from uav_ident_ros.identification.residuals import Confirmation
 from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
+    MAIN_DERIVATIVES,
     MAIN_INPUTS,
     ROWS,
     BoolArray,
@@ -219,6 +220,9 @@ class Supervisor:
         if learned_time < JUDGED_FROM:
             young = f"{int(learned_time)} s of learning, {JUDGED_FROM:g} s are needed for a verdict"
         settings = self.settings.supervision
+        main = MAIN_DERIVATIVES
+        beside = sigma.copy()
+        beside[main] = sigma_beside(sigma[main], coefficients[main], model_error)
         relearning: dict[int, str] = {}
         for (i, j), change in list(self._relearning.items()):
             known = settings.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
@@ -233,7 +237,7 @@ class Supervisor:
             or denied[i]
             or young
             or _poor_fit(settings, running, i)
-            or self._unknown_input(i, coefficients, sigma, float(model_error[i]))
+            or self._unknown_input(i, coefficients, beside)  # first: unknown, late or not
             or _incomplete(i, float(model_error[i]), settings.min_t_ratio)
             or self._unknown_input(i, coefficients, sigma)
             or self.confirmed.doubt(i)
@@ -243,17 +247,11 @@ class Supervisor:
         self._proven = self._proven or verdict.usable
         return verdict
 
-    def _unknown_input(
-        self, row: int, coefficients: FloatArray, sigma: FloatArray, beside: float = 0.0
-    ) -> str:
-        """Return how the main control derivative of a row is not known; empty if it is.
-
-        What the model error, relative, has `beside` in sigma is left out.
-        """
+    def _unknown_input(self, row: int, coefficients: FloatArray, sigma: FloatArray) -> str:
+        """Return how the main control derivative of a row is not known; empty if it is."""
         name, index = self._mains[row]
         needed = self.settings.supervision.min_t_ratio
         value, spread = abs(coefficients.item(index)), sigma.item(index)
-        spread = math.sqrt(max(spread**2 - (beside * value) ** 2, 0.0))
         ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
         if ratio >= needed:
             return ""

@@ -5,6 +5,7 @@ import heapq
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import repeat
 from operator import itemgetter
 from typing import NamedTuple
@@ -66,6 +67,14 @@ class Sensors:
                 raise SimulationError(f"{name} is {getattr(self, name)}: finite numbers are needed")
         if not 0.0 <= self.drop < 1.0:
             raise SimulationError(f"drop is {self.drop}: it must be 0 or more and below 1")
+
+    @cached_property
+    def covariances(self) -> tuple[FloatArray, FloatArray]:
+        """Covariances of angular velocity and specific force, row by row, (9,) each."""
+        gyro, accelerometer = (
+            np.diag([noise**2] * 3).ravel() for noise in (self.gyro_noise, self.accelerometer_noise)
+        )
+        return gyro, accelerometer
 
 
 class Message(NamedTuple):

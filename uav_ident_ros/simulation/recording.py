@@ -6,7 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from uav_ident_ros.bags.writing import (
@@ -44,10 +43,7 @@ def as_message(measured: Message, m: Measurements) -> Any:
     """Return the ROS message of a sample."""
     t_ns, values = measured.t_ns, measured.values
     if measured.stream == RATES:
-        noises = (m.sensors.gyro_noise, m.sensors.accelerometer_noise)
-        spread, force_spread = (np.diag([noise**2] * 3).ravel() for noise in noises)
-        covariances = (spread, force_spread)
-        return imu(t_ns, values[:3], values[3:], m.frame_id, covariances=covariances)
+        return imu(t_ns, values[:3], values[3:], m.frame_id, covariances=m.sensors.covariances)
     if measured.stream == AIRSPEED:
         return twist_stamped(t_ns, (*values, 0.0, 0.0))
     return (

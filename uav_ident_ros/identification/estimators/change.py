@@ -85,6 +85,7 @@ class ChangeDetector:
         surfaces = [label != "dth" for label in INPUTS]
         self._row, column = np.nonzero(free[:, INPUT_COLUMNS] & surfaces)
         self._column = INPUT_COLUMNS.start + column
+        self._places = self._row, column  # among the control derivatives
         self._rivals = self._row[:, None] == self._row  # of each control derivative, in its row
         self._has_constant = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
         self._window: deque[Regression] = deque()
@@ -140,8 +141,7 @@ class ChangeDetector:
         regressors = _whitened(window.f[:, self._column], window.dt)
         size, power, explained, noise = _fitted(regressors, residual[:, self._row])
         known = np.abs(coefficients[self._row, self._column])
-        places = self._row, self._column - INPUT_COLUMNS.start
-        sigma = sigma[places]
+        sigma = sigma[self._places]
         self._newest.append((size * size * power, power, sigma))
         unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
         usual = self._usual()
@@ -155,8 +155,7 @@ class ChangeDetector:
         owed = len(residual) * np.log(left / rivals) > OUTLYING
         # The slope along an input that hardly moves tells nothing.
         tells = noise < np.hypot(unsure, usual)
-        floor = np.maximum(usual, noise)
-        self._follow_seeming(np.abs(size), unsure, floor, sure & ~owed, tells)
+        self._follow_seeming(np.abs(size), unsure, np.maximum(usual, noise), sure & ~owed, tells)
         explained = np.where(sure & ~owed, explained, 0.0)
         changes = []
         # More than all else together: what an autopilot answers to a storm explains up to 0.4.
@@ -191,8 +190,8 @@ class ChangeDetector:
         before = np.minimum(self._usual_before, np.where(sure, usual, np.inf))
         still = size > ACQUITTED * np.hypot(unsure, before)
         self._usual_before[tells] = np.where(still, before, np.inf)[tells]
-        places = self._row[tells], self._column[tells] - INPUT_COLUMNS.start
-        self.seeming[places] = np.where(still, size, 0.0)[tells]
+        row, column = self._places
+        self.seeming[row[tells], column[tells]] = np.where(still, size, 0.0)[tells]
 
     def _usual(self) -> FloatArray:
         """Return the usual size of what seems to change, rms: model errors come and go.

@@ -46,6 +46,11 @@ _SATURATION, _LATENESS, _ATTENUATION = range(EXTRA)
 _BESIDE_LATENESS = (_SATURATION, _ATTENUATION)
 
 
+def sigma_beside(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
+    """Return standard deviations without what a model error, relative to the value, has in them."""
+    return np.asarray(np.sqrt(np.maximum(sigma**2 - (share * value) ** 2, 0.0)))
+
+
 class ModelError:
     """Follows what the main input of each moment row does otherwise than the model says.
 
@@ -175,15 +180,18 @@ class ModelError:
         if count <= k:
             return  # as many coefficients leave no scatter to judge by
         found, size, told = self._found(slice(count), _BESIDE_LATENESS, self._sure, ratio, effect)
-        self.height = float(size[len(ROWS) :, 0, 1].sum())
+        moments = told[: len(ROWS)]
+        if told[len(ROWS) :].all():
+            self.height = float(size[len(ROWS) :, 0, 1].sum())
         # saturation, lateness beside it, and attenuation
         taken = found[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
-        self.share = np.where(told, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
+        self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
             found, _, told = self._found(newest, (_SATURATION,), self._sure_early, ratio, effect)
+            moments = told[: len(ROWS)]
         early = np.clip(-found[: len(ROWS), 0, 1], 0.0, 1.0)
-        self._early = np.where(told, early, self._early)
+        self._early = np.where(moments, early, self._early)
 
     def _found(
         self,
@@ -197,7 +205,7 @@ class ModelError:
 
         The first two are (rows, others, 2), 0 where that may be chance: one of `others` and
         lateness. Solved in units of each regressor's rms; they are compared with their own sigma,
-        and `sure` (rows, others, 2) follows. A moment row tells, (3,), if its input moved in more
+        and `sure` (rows, others, 2) follows. A row tells, (rows,), if its input moved in more
         blocks than it makes regressors: fewer leave no scatter of what it does.
         """
         zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
@@ -235,7 +243,7 @@ class ModelError:
         least = np.where(sure, ACQUITTED, DOUBTLESS)
         sure[tells] = (extra**2 > least**2 * variance)[tells]
         found, size = np.where(sure, away, 0.0), np.where(sure, extra * scale[..., -2:], 0.0)
-        return found, size, tells[: len(ROWS)]
+        return found, size, tells
 
 
 def _solved(
