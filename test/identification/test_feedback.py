@@ -209,16 +209,18 @@ def test_what_may_be_chance_counts_where_it_could_hide_the_gusts(
     assert (doubtful > 1.5 * blind) == counts
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-def test_an_autopilot_in_gusts_leaves_little_known_wrongly(seed: int) -> None:
+def test_an_autopilot_in_gusts_leaves_little_known_wrongly() -> None:
     """A stiff one, which answers each gust: half of the aileron looked known to a third."""
     air = {"bank": 30.0, "gust": 1.0, "roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
-    flight = LightFlight((), 45.0, seed=seed, **air).fly()
-    m = measure(flight, Sensors(gyro_noise=0.02, accelerometer_noise=0.1), seed)
-    estimates = identified(m)[1][400:]
-    error = np.array([e.coefficients[PDOT_DA] for e in estimates]) - TRUTH["pdot/da"]
-    sigma = np.array([e.sigma[PDOT_DA] for e in estimates])
-    assert np.mean(np.abs(error) < 2.0 * sigma) > 0.6
+    within = []
+    for seed in range(1, 5):
+        flight = LightFlight((), 45.0, seed=seed, **air).fly()
+        m = measure(flight, Sensors(gyro_noise=0.02, accelerometer_noise=0.1), seed)
+        estimates = identified(m)[1][400:]
+        error = np.array([e.coefficients[PDOT_DA] for e in estimates]) - TRUTH["pdot/da"]
+        sigma = np.array([e.sigma[PDOT_DA] for e in estimates])
+        within.append(np.mean(np.abs(error) < 2.0 * sigma))
+    assert np.mean(within) > 0.6
 
 
 def test_an_excitation_after_an_autopilot_is_learned_from() -> None:

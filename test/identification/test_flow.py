@@ -339,3 +339,13 @@ def test_where_the_elevator_rests_lift_holds_the_angle_of_attack(seed: int) -> N
     for name in ("ay/beta", "rdot/r", "rdot/beta", "rdot/dr"):
         place = FLIGHT.index(name)
         assert estimates[-1].coefficients[place] == pytest.approx(TRUTH[name], rel=0.4)
+
+
+@pytest.mark.parametrize("arm", [(0.0, 0.0, 0.0), (1.5, 0.0, -0.3)])
+def test_a_force_that_jumps_with_its_surface_comes_no_earlier(arm: tuple[float, ...]) -> None:
+    """The rudder alone is excited, and the aileron follows: half a sample makes it 33, not 45."""
+    segment = Segment("multisine", 0.0, 60.0, {"dr": 0.08}, 10.0, (0.2, 2.0), seed=1)
+    flight = LightFlight((segment,), 60.0, delay=0.02, seed=1).fly()
+    sensors = Sensors(rate=100.0, gyro_noise=1e-6, accelerometer_noise=1e-5, lever_arm=arm)
+    *_, last = identified(measure(flight, sensors, 1))[1]
+    assert last.coefficients[FLIGHT.index("pdot/da")] == pytest.approx(TRUTH["pdot/da"], rel=0.05)

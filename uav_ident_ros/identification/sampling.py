@@ -198,6 +198,8 @@ class Block:
     restarted: bool  # Whether the first edge does not continue the block before
     # (m, 4) The part of `u` that was injected on purpose; None before there was any
     excitation: FloatArray | None = None
+    # (m + 1, 4) Inputs at the edges, where they jump; None where they do not
+    u_edges: FloatArray | None = None
     flow: FlowSignals | None = None  # For a structure with flow angles, once they are observed
 
     @property
@@ -215,6 +217,16 @@ class Block:
         """Length of the block, s."""
         return self.h * len(self.u)
 
+    @property
+    def early(self) -> FloatArray:
+        """What straight lines between the edges have of the inputs before it is there, (m, 4).
+
+        A force jumps with its surface. The lines between its samples begin a cell sooner.
+        """
+        if self.u_edges is None:
+            return np.zeros_like(self.u)
+        return np.asarray(0.5 * (self.u_edges[1:] + self.u_edges[:-1]) - self.u)
+
 
 def join(blocks: Sequence[Block]) -> Block:
     """Make one block of blocks that continue one another."""
@@ -224,6 +236,7 @@ def join(blocks: Sequence[Block]) -> Block:
     if any([block.excitation is not None for block in blocks]):
         parts = [np.zeros_like(b.u) if b.excitation is None else b.excitation for b in blocks]
         excitation = np.concatenate(parts)
+    u_edges = [block.u_edges for block in blocks if block.u_edges is not None]
     state = edge_values([block.state for block in blocks])
     if first.flow is not None:
         flow = FlowSignals(state, first.flow.airspeed)
@@ -235,6 +248,7 @@ def join(blocks: Sequence[Block]) -> Block:
         edge_values([block.specific_force for block in blocks]),
         first.restarted,
         excitation,
+        edge_values(u_edges) if len(u_edges) == len(blocks) else None,
         flow,
     )
 
@@ -459,7 +473,10 @@ class Sampler:
         if len(self.injected.t):
             t, v = with_silences(self.injected.t, self.injected.v, int(at[0]))
             injected = self._injected_lag.apply(cell_means(t, v, at, "hold"), restarted=restarted)
-        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected)
+        jumping, u_edges = not self._linear and self._time_constant == 0.0, None
+        if jumping:
+            u_edges = self.input_map.mix(done[raw.t.searchsorted(at, side="right") - 1])
+        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected, u_edges)
 
 
 def with_silences(t_ns: TimeArray, v: FloatArray, first_ns: int) -> tuple[TimeArray, FloatArray]:
