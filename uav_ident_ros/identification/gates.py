@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_ident_ros.identification.scales import (
+    DOUBTLESS,
     IN_A_ROW,
     INDEPENDENT_TIME,
     LONG_MEMORY,
@@ -30,9 +31,10 @@ from uav_ident_ros.identification.settings import ActuatorSettings, Settings
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
-REST_NOISE = 8.0
-"""Swing of the rates, relative to the gyro's noise, up to which nothing moves: noise alone swings
-by 3 to 6, aircraft in the smoothest flight by 11 and more."""
+REST_NOISE = 2.0 * DOUBTLESS
+"""Swing of the rates, relative to the gyro's noise, up to which nothing moves: noise of two seconds
+swings by no more both ways, and by 3 to 6 as a rule, aircraft in the smoothest flight by 11 and
+more."""
 
 REST_SWAY = 0.01
 """Swing of the rates of an aircraft that stands, rad/s: wind and an idling engine rock it."""

@@ -16,6 +16,7 @@ from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any
 
+from uav_ident_ros.identification.scales import IN_A_ROW
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[str, ...]
@@ -387,10 +388,6 @@ class ArmedSettings:
         "the vehicle is armed. Set it if the autopilot publishes it.")
 
 
-EXCITATION_TIMEOUT = 0.25
-"""Time for which a value of excitation counts, s: five ticks at 20 Hz. Who stops saying what to
-inject, injects nothing."""
-
 EXCITATION_FORMS = ("multisine", "3211", "doublet", "probe")
 
 
@@ -567,6 +564,11 @@ class Settings:
     def values(self) -> dict[str, Value]:
         """Return every setting by its dotted name."""
         return dict(_values(self, ""))
+
+
+EXCITATION_TIMEOUT = IN_A_ROW / Settings.update_rate
+"""Time for which a value of excitation counts, s: `IN_A_ROW` ticks at the usual rate. Who stops
+saying what to inject, injects nothing."""
 
 
 def unknown_setting(name: str) -> str:
