@@ -5,15 +5,17 @@ import random
 
 import numpy as np
 import pytest
-from flying import Message, run
+from flying import Message, run, settings
+from light_aircraft import TRUTH, LightFlight
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.parallel_model import ParallelModel
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.samples import EXCITATION, Drop
+from uav_ident_ros.identification.samples import ACTUATORS, EXCITATION, Drop
 from uav_ident_ros.identification.sampling import Block, Sampler, join
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
@@ -23,6 +25,8 @@ from uav_ident_ros.identification.structure import (
     STRUCTURES,
     FloatArray,
 )
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Sensors, measure
 
 RATES_NS = np.arange(0, 4000, 10) * MS
 INPUTS_NS = np.arange(0, 4000, 20) * MS
@@ -171,3 +175,40 @@ def test_the_answer_to_what_was_injected_counts_for_two_seconds() -> None:
         answers.append(model.follow(block, np.zeros(structure.mask.shape), None, 0.0)[1])
     assert answers[:20] == [True] * 20
     assert sum(answers[20:]) * 0.05 == pytest.approx(2.0, abs=0.06)
+
+
+def excited(gust: float, seed: int, start: float = 10.0) -> list[Estimate]:
+    """The light aircraft on its autopilot, excited from `start`, s; injected from the tenth second.
+
+    What is added before that is not told.
+    """
+    peaks = {"de": 0.08, "dr": 0.08, "da": 0.08}
+    segment = Segment("multisine", start, 17.0, peaks, 10.0, (0.2, 2.0), seed=seed)
+    flight = LightFlight((segment,), 17.0, bank=20.0, gust=gust, delay=0.02, seed=seed).fly()
+    sensors = Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15)
+    measurements = measure(flight, sensors, seed)
+    stream: list[Message] = []
+    given = iter(flight.injected.tolist())
+    for message in measurements.messages():
+        stream.append(message)
+        if message.stream == ACTUATORS:
+            added = tuple(next(given))
+            if message.arrival_ns - stream[0].arrival_ns >= 10_000 * MS:
+                stream.append(message._replace(stream=EXCITATION, values=added))
+    return run(OnlineIdentifier(settings(measurements)), stream)
+
+
+def test_an_excitation_is_not_held_back_by_what_an_autopilot_told_before() -> None:
+    """It said that nothing damps a roll: instruments of such a response leave 40 % after 5 s."""
+    place = STRUCTURES["flight_dynamics"].index("pdot/da")
+    found = np.array([excited(0.8, seed)[300].coefficients[place] for seed in range(1, 7)])
+    assert np.sqrt(np.mean((found / TRUTH["pdot/da"] - 1.0) ** 2)) < 0.25
+
+
+def test_what_a_flight_told_for_sure_is_kept_where_an_excitation_is_told_late() -> None:
+    """Excited from the second second on: no row begins anew in the tenth."""
+    place = STRUCTURES["flight_dynamics"].index("qdot/de")
+    sigma = [e.sigma[place] for e in excited(0.3, 1, start=2.0)]
+    before, after = sigma[round(20 * 9.5)], max(sigma[round(20 * 10.2) : round(20 * 11.0)])
+    assert before < 0.3 * abs(TRUTH["qdot/de"])
+    assert after < 1.5 * before

@@ -125,7 +125,7 @@ def test_the_start_of_the_instruments_has_no_bound_but_of_what_is_divided_by(
     name: str, held: bool
 ) -> None:
     information, start = added("flight_dynamics", name, 3.0, instrumental=(True,))
-    assert information.warming_up
+    assert information.warming_up.all()
     solution, at = information.solve(start.values), FLIGHT.index(name)
     largest = prior.physical_bounds(FLIGHT, start.free)[at]
     assert solution.values[0][at] == (pytest.approx(largest) if held else pytest.approx(3.0, abs=1))

@@ -280,12 +280,6 @@ class RowSamples:
         rows.z[:] *= share
         return rows
 
-    def uninstrumented(self) -> RowSamples:
-        """Return the samples with the regressors as their own instruments."""
-        rows = RowSamples(self.signals.copy(), self.dt)
-        rows.z[:] = rows.f
-        return rows
-
 
 @lru_cache(maxsize=64)
 def _parts(m: int, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

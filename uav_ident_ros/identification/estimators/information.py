@@ -25,6 +25,7 @@ from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     INDEPENDENT_TIME,
     OUTLYING,
+    RESPONSE_TIME,
     ROUNDING,
     SHORT_MEMORY,
     TINY,
@@ -187,7 +188,7 @@ class Information:
     Estimates from the same samples, plain or whitened, are parts that run side by side. Those with
     instruments begin as least squares for `SHORT_MEMORY`, since a model must be there first. That
     start fades as slowly: it is biased, so it must go, but at once too little would be left where a
-    flight has told little yet.
+    flight has told little yet. A row that begins anew does so for `RESPONSE_TIME`.
 
     Parameters
     ----------
@@ -210,8 +211,8 @@ class Information:
         The parameter; it may change at any time.
     sums : Sums
         What was accumulated, without the start that fades.
-    warming_up : bool
-        Whether the regressors are still their own instruments.
+    warming_up : (rows,) bool array
+        Rows whose regressors are still their own instruments.
     variance : (parts, rows) array
         Running residual variance.
     time : (rows,) array
@@ -244,7 +245,8 @@ class Information:
         self._transform = Transform(structure, layout)
         self.start = start
         self.sums = Sums.nothing(parts, rows, k)
-        self.warming_up = any(instrumental)
+        self.warming_up: BoolArray = np.full(rows, any(instrumental))
+        self._warm_at: FloatArray = np.full(rows, SHORT_MEMORY)  # time at which that ends, s
         self._fading: Sums | None = None
         self._faded: FloatArray = np.ones(rows)
         self.variance: FloatArray = np.full((parts, rows), FIRST_RESIDUAL_VARIANCE)
@@ -299,12 +301,12 @@ class Information:
 
         Parameters are those of `Sums.add`.
         """
-        if self.warming_up and self.time.max() >= SHORT_MEMORY:
-            self._end_warm_up()
+        if self.warming_up.any():
+            self._end_warm_up(self.warming_up & (self.time.max() >= self._warm_at))
         stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
         for part, instrumental in enumerate(self._instrumental):
-            if self.warming_up or not instrumental:  # the regressors are their own instruments
-                stack.z[part] = stack.f[part]
+            plain = self.warming_up if instrumental else slice(None)
+            stack.z[part, plain] = stack.f[part, plain]  # the regressors are their own instruments
         time, begun = weight * stack.time, self.time > 0.0
         if self._fading is not None:
             keep = np.exp(time / -SHORT_MEMORY)
@@ -325,17 +327,33 @@ class Information:
         if max(self._score_time.tolist()) >= INDEPENDENT_TIME:
             self._close_blocks(self._score_time >= INDEPENDENT_TIME)
 
-    def _end_warm_up(self) -> None:
-        """Begin with instruments; what was accumulated without them fades."""
-        self.warming_up = False
-        self._fading = self.sums.copy()
-        for part, instrumental in enumerate(self._instrumental):
-            (self.sums if instrumental else self._fading).table[part] = 0.0
+    def _end_warm_up(self, rows: BoolArray) -> None:
+        """Begin with instruments in some rows; what was accumulated without them fades."""
+        if not rows.any():
+            return
+        self.warming_up = self.warming_up & ~rows
+        if self._fading is None:
+            self._fading = Sums(np.zeros_like(self.sums.table), self.sums.k)
+        self._faded[rows] = 1.0
+        for part in np.flatnonzero(self._instrumental):
+            self._fading.table[part, rows] = self.sums.table[part, rows]
+            self.sums.table[part, rows] = 0.0
+
+    def begin_anew(self, rows: BoolArray) -> None:
+        """Forget what some rows have told, (rows,): a clearer time begins."""
+        self.sums.table[:, rows] = 0.0
+        if self._fading is not None:
+            self._fading.table[:, rows] = 0.0
+        self._score[:, rows] = self._score_time[rows] = 0.0
+        self.warming_up = self.warming_up | (rows & any(self._instrumental))
+        self._warm_at[rows] = self.time.max() + RESPONSE_TIME
 
     def instrumented(self, samples: RowSamples) -> RowSamples:
         """Return samples with the instruments that the first part has now."""
-        plain = self.warming_up or not self._instrumental[0]
-        return samples.uninstrumented() if plain else samples
+        rows = RowSamples(samples.signals.copy(), samples.dt)
+        plain = self.warming_up if self._instrumental[0] else slice(None)
+        rows.z[plain] = rows.f[plain]
+        return rows
 
     def _close_blocks(self, full: BoolArray) -> None:
         """Count the scores of the rows whose block is full, and forget."""
@@ -411,8 +429,7 @@ class Information:
         """
         rows, entries = self._bounded
         beyond = np.fmax(change[:, rows, entries] - self._room[:, None], 0.0)
-        if self.warming_up:
-            beyond[:, rows < len(ROWS)] = 0.0
+        beyond[:, self.warming_up[rows] & (rows < len(ROWS))] = 0.0
         if not beyond.any():
             return change
         unit = np.zeros_like(change[0])

@@ -82,7 +82,7 @@ class RecursiveRegression:
         self._known_before = inputs_known.any(axis=1)
         self._feedback = Feedback(self._layout)
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
-        self._injected = False
+        self._injected = self._ever_injected = False
         self._start = start
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
@@ -139,6 +139,8 @@ class RecursiveRegression:
         if samples.injected and not self._injected:
             # Samples from before it have other instruments, which answer disturbances.
             self._error = ModelError(self._layout)
+            if not self._ever_injected:
+                self._begin_excited()
         self._injected = samples.injected
         if samples.injected:
             share = self._influence(samples)
@@ -166,6 +168,17 @@ class RecursiveRegression:
         self._follow_changes(samples)
         self._since_sigma += samples.time
         self._solve(0.5 * samples.dt)
+
+    def _begin_excited(self) -> None:
+        """Forget what rows of unknown effect were told before anything was injected.
+
+        An autopilot's flight biases damping towards none, and the response of such a model is a
+        poor instrument for the whole excitation. Least squares on its first seconds makes a better.
+        """
+        self._ever_injected = True
+        known = self._row_weights(1.0 * self._known_inputs())
+        self.information.begin_anew(known == 0.0)
+        self._since_sigma = np.inf
 
     def _known_inputs(self) -> BoolArray:
         """Return of which rows the main input's effect is known, model errors apart, (3,)."""
