@@ -268,6 +268,19 @@ def test_a_reversed_input_is_turned_on_all_that_it_moves() -> None:
     assert chosen.update(LATER + 10**8, measured).values[:, 2].tolist() == [-29.5, 0.0, 1.5]
 
 
+@pytest.mark.parametrize("reversals", [1, 2])
+def test_an_input_that_does_nothing_has_the_sign_of_before(reversals: int) -> None:
+    """A surface that jams makes a jerk the wrong way, once or twice, and then none."""
+    chosen, measured = choice()[0], Effectiveness()
+    before = chosen.update(START, measured).values[:, 2].tolist()
+    for _ in range(reversals):
+        measured._doubt[0, 0] = SURE
+        chosen.update(LATER, measured)
+    measured.dead[0] = True
+    for _ in range(2):
+        assert chosen.update(LATER, measured).values[:, 2].tolist() == before
+
+
 @pytest.mark.parametrize(
     ("factor", "rolls", "share"),
     [

@@ -185,10 +185,18 @@ class AxisChoice:
     def _turn(self, measured: Effectiveness, certain: BoolArray) -> None:
         """Turn the sign of an input that acts the wrong way, on all that it moves."""
         for i in np.flatnonzero(measured.reversed & certain):
-            self._rows[:, MAINS[i]] = -self._rows[:, MAINS[i]]
-            self._turned[MAINS[i]] = True
-            self._main[i], self._sources[i] = self._rows[i, MAINS[i]], MEASURED
+            self._turn_axis(i, MEASURED)
             measured.changed(int(i))
+        # What does nothing has no sign: a surface that jams makes one jerk the wrong way. With the
+        # sign of before the loop is right when it comes free.
+        for i in np.flatnonzero(measured.dead & self._turned[MAINS] & certain):
+            self._turn_axis(i, LAST_GOOD)
+
+    def _turn_axis(self, i: np.intp, source: str) -> None:
+        """Turn the sign of the input of an axis; twice is as before."""
+        self._rows[:, MAINS[i]] = -self._rows[:, MAINS[i]]
+        self._turned[MAINS[i]] = not self._turned[MAINS[i]]
+        self._main[i], self._sources[i] = self._rows[i, MAINS[i]], source
 
     def _scale(self, t_ns: int, measured: Effectiveness, certain: BoolArray) -> None:
         """Fly on what is measured where it has surely been another for long enough."""
