@@ -338,7 +338,9 @@ class OnlineIdentifier:
         """Take word of whether the motors are armed; late word counts from the next tick on."""
         return self.intake.add(ARMED, t_ns, (float(armed),))
 
-    def add_excitation(self, t_ns: int, values: Sequence[float]) -> Drop | None:
+    def add_excitation(
+        self, t_ns: int, values: Sequence[float], *, own: bool = False
+    ) -> Drop | None:
         """Take word of what was, or will be, injected into the inputs on purpose.
 
         Parameters
@@ -347,8 +349,10 @@ class OnlineIdentifier:
             Stamp, ns; what was said before of a later time is called off.
         values : sequence of 4 floats
             de, dr, da, dth, in the units of the inputs.
+        own : bool
+            Whether the last tick that was run asked for it: it counts for those that wait, too.
         """
-        return self.intake.add(EXCITATION, t_ns, values)
+        return self.intake.add(EXCITATION, t_ns, values, own)
 
     # -- ticks -----------------------------------------------------------------------------
 

@@ -347,17 +347,21 @@ class Intake:
 
     # -- the other streams -----------------------------------------------------------------
 
-    def add(self, name: str, t_ns: int, values: Sequence[float]) -> Drop | None:
-        """Take a sample of a stream beside the rates; return why it was dropped, if it was."""
+    def add(self, name: str, t_ns: int, values: Sequence[float], own: bool = False) -> Drop | None:
+        """Take a sample of a stream beside the rates; return why it was dropped, if it was.
+
+        What is our `own` was said after a tick, for ticks that still wait.
+        """
         if self._held is not None:
-            self._held.append(partial(self.add, name, t_ns, values))
+            self._held.append(partial(self.add, name, t_ns, values, own))
             return None
         stream, buffer = self._streams[name], self._buffers[name]
         problem = value_problem(values, stream.width, stream.largest) or self._stamp_problem(t_ns)
         if name == ACTUATORS:
             self._follow_clock(t_ns, problem)
         if problem is Drop.LATE and stream.kept_if_late:
-            t_ns, problem = self.last_tick_ns + 1, None
+            waited_for = own and bool(self._due) and t_ns >= self._due[0]
+            t_ns, problem = t_ns if waited_for else self.last_tick_ns + 1, None
         if problem is not None:
             self.drops[name][problem] += 1
             return problem

@@ -127,6 +127,6 @@ class Excite:
     def _publish(self, injection: Injection) -> None:
         values = injection.values.tolist()
         if self._own:
-            self._identifier.add_excitation(injection.t_ns, values)
+            self._identifier.add_excitation(injection.t_ns, values, own=True)
         header = Header(stamp=to_stamp(injection.t_ns))
         self._publisher.publish(JointState(header=header, name=list(INPUTS), position=values))
