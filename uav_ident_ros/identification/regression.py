@@ -416,12 +416,15 @@ class StateVariableFilter:
             held[:, 5 : self._f.start] = block.u[:, self._surfaces]
             by_inputs = driven_by @ made[:, INPUT_COLUMNS].T
             held[:, -4:-2], held[:, -2:] = by_inputs, by_inputs / v
-            # The accelerometer feels at once what a surface does, by the lever arm, too.
-            at_once = (made + self._lever @ coefficients[: len(ROWS)])[:, INPUT_COLUMNS]
-            early = block.early @ at_once.T
-            held[:, 3:5] -= early
-            held[:, self._f][:, LAST_COLUMNS] -= early
-            held[:, self._f][:, n:] -= early / v
+            if block.u_edges is not None:
+                # The accelerometer feels at once what a surface does, by the lever arm, too.
+                at_once = made[:, INPUT_COLUMNS]
+                if self._corrects_lever:
+                    at_once = at_once + self._lever @ coefficients[: len(ROWS), INPUT_COLUMNS]
+                early = block.early @ at_once.T
+                held[:, 3:5] -= early
+                held[:, self._f][:, LAST_COLUMNS] -= early
+                held[:, self._f][:, n:] -= early / v
         held[:, self._f][:, INPUT_COLUMNS] = block.u
         held[:, self._z][:, INPUT_COLUMNS] = driven_by
         return lines, held

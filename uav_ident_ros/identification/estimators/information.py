@@ -301,12 +301,13 @@ class Information:
 
         Parameters are those of `Sums.add`.
         """
-        if self.warming_up.any():
+        if warming_up := bool(self.warming_up.any()):
             self._end_warm_up(self.warming_up & (self.time.max() >= self._warm_at))
         stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
         for part, instrumental in enumerate(self._instrumental):
-            plain = self.warming_up if instrumental else slice(None)
-            stack.z[part, plain] = stack.f[part, plain]  # the regressors are their own instruments
+            if warming_up or not instrumental:  # the regressors are their own instruments
+                plain = self.warming_up if instrumental else slice(None)
+                stack.z[part, plain] = stack.f[part, plain]
         time, begun = weight * stack.time, self.time > 0.0
         if self._fading is not None:
             keep = np.exp(time / -SHORT_MEMORY)
