@@ -21,12 +21,12 @@ from recordings import (
     replayed,
     shown,
 )
-from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
 from uav_ident_ros.bags.reading import Message
+from uav_ident_ros.bags.writing import JOINT_STATE, jazzy_types, joint_state
 from uav_ident_ros.client import Excitation, subscribe_excitation
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
@@ -59,15 +59,8 @@ def listen(player: Player) -> list[JointState]:
 
 def sent(message: JointState) -> bytes:
     """Bytes of a message as DDS sends it: `serialize_message` adds some behind them."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    header, stamp = message.header, message.header.stamp
-    joints = store.types["sensor_msgs/msg/JointState"](
-        store.types["std_msgs/msg/Header"](
-            store.types["builtin_interfaces/msg/Time"](stamp.sec, stamp.nanosec), header.frame_id
-        ),
-        list(message.name), np.array(message.position), np.zeros(0), np.zeros(0),
-    )  # fmt: skip
-    return bytes(store.serialize_cdr(joints, "sensor_msgs/msg/JointState"))
+    joints = joint_state(header_ns(message), message.name, message.position)
+    return bytes(jazzy_types().serialize_cdr(joints, JOINT_STATE))
 
 
 def positions(messages: list[JointState]) -> np.ndarray:
@@ -141,7 +134,7 @@ def test_a_replay_of_the_flight_reads_the_excitation_of_the_node(
     words = [Message(topic, header_ns(m) - 100 * MS, sent(m)) for m in received]
     assert len(words) > 100 and positions(received).any()
     both = sorted([*flight.messages, *words], key=lambda message: message.log_ns)
-    types = {**flight.types, topic: "sensor_msgs/msg/JointState"}
+    types = {**flight.types, topic: JOINT_STATE}
     offline = replayed(replace(flight, messages=both, types=types), tmp_path)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["inputs"]["excitation"]["dropped"] == {}

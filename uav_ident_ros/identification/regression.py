@@ -416,7 +416,7 @@ class StateVariableFilter:
             held[:, 5 : self._f.start] = block.u[:, self._surfaces]
             by_inputs = driven_by @ made[:, INPUT_COLUMNS].T
             held[:, -4:-2], held[:, -2:] = by_inputs, by_inputs / v
-            if block.u_edges is not None:
+            if block.early is not None:
                 # The accelerometer feels at once what a surface does, by the lever arm, too.
                 at_once = made[:, INPUT_COLUMNS]
                 if self._corrects_lever:

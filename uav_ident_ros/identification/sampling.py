@@ -198,8 +198,9 @@ class Block:
     restarted: bool  # Whether the first edge does not continue the block before
     # (m, 4) The part of `u` that was injected on purpose; None before there was any
     excitation: FloatArray | None = None
-    # (m + 1, 4) Inputs at the edges, where they jump; None where they do not
-    u_edges: FloatArray | None = None
+    # (m, 4) What straight lines between the edges have of inputs that jump, less `u`: there a jump
+    # begins a cell sooner. None where they do not jump
+    early: FloatArray | None = None
     flow: FlowSignals | None = None  # For a structure with flow angles, once they are observed
 
     @property
@@ -217,26 +218,12 @@ class Block:
         """Length of the block, s."""
         return self.h * len(self.u)
 
-    @property
-    def early(self) -> FloatArray:
-        """What straight lines between the edges have of the inputs before it is there, (m, 4).
-
-        A force jumps with its surface. The lines between its samples begin a cell sooner.
-        """
-        if self.u_edges is None:
-            return np.zeros_like(self.u)
-        return np.asarray(0.5 * (self.u_edges[1:] + self.u_edges[:-1]) - self.u)
-
 
 def join(blocks: Sequence[Block]) -> Block:
     """Make one block of blocks that continue one another."""
     if len(blocks) == 1:
         return blocks[0]
-    first, excitation, flow = blocks[0], None, None
-    if any([block.excitation is not None for block in blocks]):
-        parts = [np.zeros_like(b.u) if b.excitation is None else b.excitation for b in blocks]
-        excitation = np.concatenate(parts)
-    u_edges = [block.u_edges for block in blocks if block.u_edges is not None]
+    first, flow = blocks[0], None
     state = edge_values([block.state for block in blocks])
     if first.flow is not None:
         flow = FlowSignals(state, first.flow.airspeed)
@@ -247,10 +234,17 @@ def join(blocks: Sequence[Block]) -> Block:
         np.concatenate([block.u for block in blocks]),
         edge_values([block.specific_force for block in blocks]),
         first.restarted,
-        excitation,
-        edge_values(u_edges) if len(u_edges) == len(blocks) else None,
+        _cell_values([(block.excitation, block.u) for block in blocks]),
+        _cell_values([(block.early, block.u) for block in blocks]),
         flow,
     )
+
+
+def _cell_values(parts: Sequence[tuple[FloatArray | None, FloatArray]]) -> FloatArray | None:
+    """Return values of all cells, from those of blocks or nothing, each beside what is as long."""
+    if all([values is None for values, _ in parts]):
+        return None
+    return np.concatenate([np.zeros_like(u) if values is None else values for values, u in parts])
 
 
 def edge_values(parts: Sequence[Edges]) -> Edges:
@@ -473,10 +467,11 @@ class Sampler:
         if len(self.injected.t):
             t, v = with_silences(self.injected.t, self.injected.v, int(at[0]))
             injected = self._injected_lag.apply(cell_means(t, v, at, "hold"), restarted=restarted)
-        jumping, u_edges = not self._linear and self._time_constant == 0.0, None
-        if jumping:
-            u_edges = self.input_map.mix(done[raw.t.searchsorted(at, side="right") - 1])
-        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected, u_edges)
+        early = None
+        if not self._linear and self._time_constant == 0.0:
+            jumping = self.input_map.mix(done[raw.t.searchsorted(at, side="right") - 1])
+            early = 0.5 * (jumping[1:] + jumping[:-1]) - u
+        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected, early)
 
 
 def with_silences(t_ns: TimeArray, v: FloatArray, first_ns: int) -> tuple[TimeArray, FloatArray]:
