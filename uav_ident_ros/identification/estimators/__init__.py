@@ -15,7 +15,7 @@ from uav_ident_ros.identification.estimators.recursive import RecursiveRegressio
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
 
 
 class Estimator(Protocol):
@@ -101,4 +101,9 @@ def make_estimator(settings: Settings, start: Start) -> Estimator:
     if settings.estimator == "gradient":
         return GradientEstimator(settings, start)
     instrumental = settings.estimator == "instrumental_variable"
-    return RecursiveRegression(start, settings, instrumental=instrumental)
+    structure = STRUCTURES[settings.structure]
+    alone = None
+    if start.told(structure)[: len(ROWS)].any():
+        unprejudiced = start.doubted(structure)
+        alone = RecursiveRegression(unprejudiced, settings, instrumental=instrumental)
+    return RecursiveRegression(start, settings, instrumental=instrumental, alone=alone)

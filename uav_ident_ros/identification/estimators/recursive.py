@@ -23,6 +23,7 @@ from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.scales import (
     LOOK_TIME,
     OUTLYING,
+    DOUBTLESS,
     SHORT_MEMORY,
     START_TIME,
     SURE,
@@ -31,6 +32,7 @@ from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
+    MAIN_COLUMNS,
     MAIN_DERIVATIVES,
     RATE_COLUMNS,
     ROWS,
@@ -74,16 +76,22 @@ class RecursiveRegression:
         squares.
     """
 
-    def __init__(self, start: Start, settings: Settings, *, instrumental: bool) -> None:
+    def __init__(
+        self,
+        start: Start,
+        settings: Settings,
+        *,
+        instrumental: bool,
+        alone: RecursiveRegression | None = None,
+    ) -> None:
+        self._alone = alone
         self._structure = STRUCTURES[settings.structure]
         self._layout = layout(self._structure)
         self._error = ModelError(self._layout)
-        inputs_known = start.known_before(self._structure)[: len(ROWS), INPUT_COLUMNS]
-        self._known_before = inputs_known.any(axis=1)
-        self._feedback = Feedback(self._layout)
+        # What answers disturbances is judged by residuals that nothing told has part in.
+        self._feedback = alone._feedback if alone else Feedback(self._layout)
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
         self._injected = self._ever_injected = False
-        self._start = start
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
@@ -97,6 +105,7 @@ class RecursiveRegression:
         )
         self.coefficients: FloatArray = start.values.copy()
         self.sigma: FloatArray = start.sigma.copy()
+        self.start = start
         self._cutoff = settings.filter.cutoff
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
         self.clear = self._gate.clear
@@ -118,6 +127,10 @@ class RecursiveRegression:
     @start.setter
     def start(self, start: Start) -> None:
         self._start = self.information.start = start
+        inputs_known = start.known_before(self._structure)[: len(ROWS), INPUT_COLUMNS]
+        self._known_before = inputs_known.any(axis=1)
+        if self._alone:
+            self._alone.start = start.doubted(self._structure)
         self.coefficients = np.where(start.free, self.coefficients, start.values)
         self.sigma = np.where(start.free, self.sigma, start.sigma)
 
@@ -129,6 +142,8 @@ class RecursiveRegression:
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Add samples and solve."""
+        if self._alone:
+            self._alone.update_alone(samples, rows, white, weight)
         moments = rows.residual[: len(ROWS)].T
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.clear, self.learning = self._gate.clear, self._gate.learning & (weight > 0.0)
@@ -145,9 +160,10 @@ class RecursiveRegression:
         if samples.injected:
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
-        else:
+        elif not self._alone:
             known = np.abs(self._known[0].values[1][MAIN_DERIVATIVES])  # whitened
             self._feedback.add(samples, moments, weight, known)
+        if not samples.injected:
             self.answers = self._feedback.share
         # No disturbance is in what is injected.
         answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
@@ -166,6 +182,8 @@ class RecursiveRegression:
         answering = None if samples.injected else self._feedback.answering
         self.information.add(parts, weight, answering)
         self._follow_changes(samples)
+        if self._alone:
+            self._withdraw(self._alone)
         self._since_sigma += samples.time
         self._solve(0.5 * samples.dt)
 
@@ -248,13 +266,52 @@ class RecursiveRegression:
         sigma = np.hypot(sigma, MODEL_ERROR * own)
         return np.where(self._start.free, sigma, self._start.sigma)
 
+    def update_alone(
+        self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
+    ) -> None:
+        """Update by samples whose residuals are those of another estimate."""
+        own = self._known[0].linear[0]
+        self.update(samples, rows.left_by(own), white.left_by(own), weight)
+
+    def _withdraw(self, alone: RecursiveRegression) -> None:
+        """Withdraw what was told of the coefficients of which the flight alone says otherwise.
+
+        A test for a conflict of prior and data (Evans and Moshonov 2006), by the sigma of an
+        estimate that nothing was told, which knows of feedback.
+        """
+        if alone._since_sigma:
+            return  # it has not looked anew
+        start, information = self._start, alone.information
+        off = np.abs(alone.coefficients - start.values)
+        against = start.told(self._structure) & (off > DOUBTLESS * np.hypot(alone.sigma, start.sigma))
+        tells = (self._row_weights(1.0 * alone.clear) > 0.0) & (information.time >= START_TIME)
+        for row in np.flatnonzero(~tells).tolist():
+            i, j = self._layout.place[row].T
+            against[i, j] = False
+        if not against.any():
+            return
+        for row in np.flatnonzero(against[MAIN_DERIVATIVES]).tolist():
+            self.information.set_row(row, information.sums_of())
+            self.information.variance[:, row] = information.variance[:, row]
+            self._error.forget(row)
+            self.changes.append((row, int(MAIN_COLUMNS[row])))
+        self.start = start.doubted(self._structure, against)
+        if self.changes:
+            self._begin_changes()
+        if not self._start.told(self._structure).any():
+            self._alone = None
+
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""
+        if self._alone:
+            self._alone.reconfigure(settings)
         self.information.forgetting_time = settings.forgetting_time
         self._gate.settings = settings.supervision
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
+        if self._alone:
+            self._alone.forget(weight)
         self.information.discount(weight)
         self._error = ModelError(self._layout)
         self._begin_changes()
