@@ -76,9 +76,10 @@ class Verdict:
 
 
 class Change(NamedTuple):
-    """A coefficient that was found changed in flight."""
+    """A coefficient that was found changed in flight, or told wrong."""
 
     name: str  # ``pdot/da`` and so on
+    told_wrong: bool
     t: float  # When it was noticed, s of message time
     sigma: float  # Its standard deviation before
 
@@ -106,7 +107,7 @@ class Supervisor:
     gates : Gates
         The gates, and what each has cost.
     changed : list of Change
-        The changes found in flight, the oldest first.
+        The changes found in flight, and what was told wrong, the oldest first.
     confirmed : Confirmation
         Which control derivatives the flight has confirmed.
     """
@@ -170,7 +171,8 @@ class Supervisor:
         self.gates.charge("excitation", ticks * quiet / len(ROWS))
         for i, j in estimator.changes:
             name = f"{ROWS[i]}/{self._structure.regressors[j]}"
-            change = Change(name, t, float(self._sigma[i, j]))
+            told_wrong = (i, j) in estimator.contradicted
+            change = Change(name, told_wrong, t, float(self._sigma[i, j]))
             self._relearning[i, j] = change
             self.changed.append(change)
             self._residuals.release(i)
@@ -231,7 +233,8 @@ class Supervisor:
             if known and t - change.t > WINDOW_TIME:
                 del self._relearning[i, j]
             else:
-                relearning[i] = f"{change.name} changed in flight and is learned anew"
+                why = "is not what was told" if change.told_wrong else "changed in flight"
+                relearning[i] = f"{change.name} {why} and is learned anew"
         first, second, third = (
             relearning.get(i)
             or denied[i]

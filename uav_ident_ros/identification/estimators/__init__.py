@@ -15,7 +15,7 @@ from uav_ident_ros.identification.estimators.recursive import RecursiveRegressio
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import ROWS, STRUCTURES, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
 
 
 class Estimator(Protocol):
@@ -33,8 +33,9 @@ class Estimator(Protocol):
         What went wrong, in a sentence; empty if nothing did.
     learning : (3,) bool array
         Rows that learned at the last update; the others saw no excitation.
-    changes : list of (row, column)
-        Coefficients that were found changed, and released, at the last update.
+    changes, contradicted : list of (row, column)
+        Coefficients that were found changed, and released, at the last update; those of them that
+        were told wrong.
     """
 
     coefficients: FloatArray
@@ -43,6 +44,7 @@ class Estimator(Protocol):
     problem: str
     learning: BoolArray
     changes: list[tuple[int, int]]
+    contradicted: list[tuple[int, int]]
 
     @property
     def clear(self) -> BoolArray:
@@ -101,9 +103,8 @@ def make_estimator(settings: Settings, start: Start) -> Estimator:
     if settings.estimator == "gradient":
         return GradientEstimator(settings, start)
     instrumental = settings.estimator == "instrumental_variable"
-    structure = STRUCTURES[settings.structure]
-    alone = None
-    if start.told(structure)[: len(ROWS)].any():
-        unprejudiced = start.doubted(structure)
-        alone = RecursiveRegression(unprejudiced, settings, instrumental=instrumental)
+    structure, alone = STRUCTURES[settings.structure], None
+    if start.told(structure).any():
+        doubted = start.doubted(structure)
+        alone = RecursiveRegression(doubted, settings, instrumental=instrumental)
     return RecursiveRegression(start, settings, instrumental=instrumental, alone=alone)

@@ -21,9 +21,9 @@ from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.scales import (
+    DOUBTLESS,
     LOOK_TIME,
     OUTLYING,
-    DOUBTLESS,
     SHORT_MEMORY,
     START_TIME,
     SURE,
@@ -60,6 +60,10 @@ class RecursiveRegression:
     instrumental : bool
         Whether the instrumental variable gives the coefficients. If not, it only tells how
         far least squares is biased.
+    alone : RecursiveRegression, optional
+        The same of who was told nothing: what the flight alone tells. What was told is withdrawn
+        where that contradicts it; whether inputs answer disturbances is judged by its residuals,
+        since those of a wrong model follow the inputs.
 
     Attributes
     ----------
@@ -69,8 +73,8 @@ class RecursiveRegression:
         Moment rows that learned at the last update; in which the inputs stand out.
     model_error, height, answers, inputs
         As of the last update; see `Estimator`.
-    changes : list of (row, column)
-        Coefficients released at the last update.
+    changes, contradicted : list of (row, column)
+        Coefficients released at the last update; those of them that were told wrong.
     information : Information
         What the flight has told: the estimate in use, the whitened one, and the reference of least
         squares.
@@ -88,13 +92,13 @@ class RecursiveRegression:
         self._structure = STRUCTURES[settings.structure]
         self._layout = layout(self._structure)
         self._error = ModelError(self._layout)
-        # What answers disturbances is judged by residuals that nothing told has part in.
-        self._feedback = alone._feedback if alone else Feedback(self._layout)
+        self._feedback: Feedback = alone._feedback if alone else Feedback(self._layout)
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
         self._injected = self._ever_injected = False
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
+        self.contradicted: list[tuple[int, int]] = []
         self.information = Information(
             self._structure,
             self._layout,
@@ -105,6 +109,7 @@ class RecursiveRegression:
         )
         self.coefficients: FloatArray = start.values.copy()
         self.sigma: FloatArray = start.sigma.copy()
+        self._start: Start
         self.start = start
         self._cutoff = settings.filter.cutoff
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
@@ -143,7 +148,7 @@ class RecursiveRegression:
     ) -> None:
         """Add samples and solve."""
         if self._alone:
-            self._alone.update_alone(samples, rows, white, weight)
+            self._alone.update_beside(samples, rows, white, weight)
         moments = rows.residual[: len(ROWS)].T
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.clear, self.learning = self._gate.clear, self._gate.learning & (weight > 0.0)
@@ -266,38 +271,47 @@ class RecursiveRegression:
         sigma = np.hypot(sigma, MODEL_ERROR * own)
         return np.where(self._start.free, sigma, self._start.sigma)
 
-    def update_alone(
+    # -- what was told -----------------------------------------------------------------------
+
+    def update_beside(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Update by samples whose residuals are those of another estimate."""
         own = self._known[0].linear[0]
         self.update(samples, rows.left_by(own), white.left_by(own), weight)
 
-    def _withdraw(self, alone: RecursiveRegression) -> None:
-        """Withdraw what was told of the coefficients of which the flight alone says otherwise.
+    def _contradicted(self, alone: RecursiveRegression) -> BoolArray:
+        """Return which coefficients the flight alone contradicts, as told, shape (R, n).
 
-        A test for a conflict of prior and data (Evans and Moshonov 2006), by the sigma of an
-        estimate that nothing was told, which knows of feedback.
+        A conflict of prior and data (Evans and Moshonov 2006), by the sigma of an estimate that
+        knows of feedback, and only where inputs stand out from what else moves the aircraft.
         """
-        if alone._since_sigma:
-            return  # it has not looked anew
-        start, information = self._start, alone.information
+        start = self._start
         off = np.abs(alone.coefficients - start.values)
-        against = start.told(self._structure) & (off > DOUBTLESS * np.hypot(alone.sigma, start.sigma))
-        tells = (self._row_weights(1.0 * alone.clear) > 0.0) & (information.time >= START_TIME)
-        for row in np.flatnonzero(~tells).tolist():
-            i, j = self._layout.place[row].T
-            against[i, j] = False
-        if not against.any():
-            return
+        sure = off > DOUBTLESS * np.hypot(alone.sigma, start.sigma)
+        clear = self._row_weights(1.0 * alone.clear) > 0.0
+        rows = clear & (alone.information.time >= START_TIME)
+        i, j = self._layout.place[self._layout.used & rows[:, None]].T
+        seen = np.zeros_like(sure)
+        seen[i, j] = True
+        return np.asarray(seen & sure & start.told(self._structure))
+
+    def _withdraw(self, alone: RecursiveRegression) -> None:
+        """Withdraw what was told of contradicted coefficients.
+
+        Rows whose main control derivative is among them go on with what the flight alone tells: the
+        scatter of their own residuals is that of a wrong model.
+        """
+        if alone._since_sigma or not (against := self._contradicted(alone)).any():
+            return  # where it has not looked anew, nothing is new
         for row in np.flatnonzero(against[MAIN_DERIVATIVES]).tolist():
-            self.information.set_row(row, information.sums_of())
-            self.information.variance[:, row] = information.variance[:, row]
+            self.information.set_row(row, alone.information.sums_of())
+            self.information.variance[:, row] = alone.information.variance[:, row]
             self._error.forget(row)
-            self.changes.append((row, int(MAIN_COLUMNS[row])))
-        self.start = start.doubted(self._structure, against)
-        if self.changes:
             self._begin_changes()
+            self.contradicted.append((row, int(MAIN_COLUMNS[row])))
+        self.changes += self.contradicted
+        self.start = self._start.doubted(self._structure, against)
         if not self._start.told(self._structure).any():
             self._alone = None
 
@@ -320,7 +334,7 @@ class RecursiveRegression:
 
     def _follow_changes(self, samples: Regression) -> None:
         """Release what has changed."""
-        self.changes = []
+        self.changes, self.contradicted = [], []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
             sigma = self._settled_sigma[: len(ROWS), INPUT_COLUMNS]
