@@ -120,7 +120,8 @@ def run(trial: Trial, structure_name: str) -> Outcome:
     structure = STRUCTURES[settings.structure]
     initial = None
     if trial.warm:
-        initial = verdict_flights.warm_start(structure, verdict_flights.truth(flown.flight, -1.0))
+        healthy = verdict_flights.truth(flown.flight, -1.0)
+        initial = verdict_flights.warm_start(structure, healthy, trial.warm)
     losing: Any = False
     if trial.replayed:
         estimates = _replay(flown, named, initial)

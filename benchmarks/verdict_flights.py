@@ -17,7 +17,7 @@ from light_aircraft import LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import INPUTS, FloatArray, Structure
+from uav_ident_ros.identification.structure import INPUTS, ROWS, FloatArray, Structure
 from uav_ident_ros.simulation import jsbsim_flight
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
@@ -69,7 +69,8 @@ class Trial:
     fly: Callable[[], Measurements | cases.Case]
     # Settings that differ from those that fit the topics
     settings: Mapping[str, Any] = field(default_factory=dict)
-    warm: bool = False  # Start from the true coefficients of the healthy aircraft
+    # Start from the true coefficients of the healthy aircraft times this; cold if it is zero
+    warm: float = 0.0
     feedback: bool = False  # No excitation: coverage is counted apart
     replayed: bool = False  # The flight becomes a bag first, and is read back as `replay` does
     names: str = ""  # What the identifier has to say, as a regular expression; of mistakes only
@@ -112,9 +113,12 @@ def coefficients(structure: Structure, true: Mapping[str, float]) -> FloatArray:
     return out
 
 
-def warm_start(structure: Structure, true: Mapping[str, float]) -> CoefficientSet:
-    """Return what a good flight of the healthy aircraft would have saved."""
+def warm_start(
+    structure: Structure, true: Mapping[str, float], factor: float = 1.0
+) -> CoefficientSet:
+    """Return what a good flight of the healthy aircraft has saved, moments times a factor."""
     values = coefficients(structure, true)
+    values[: len(ROWS)] *= factor
     sigma = np.where(structure.mask, 0.05 * np.abs(values) + 0.02, 0.0)
     return CoefficientSet(structure.name, values, sigma)
 
@@ -233,7 +237,7 @@ def _old_knowledge(seed: int, length: float) -> Iterator[Trial]:
             yield _trial("old_knowledge", seed, aircraft, words, {}, **flight, **excited, **failure)
         words, fields = (
             "warm start, rudder reversed on the ground",
-            {"warm": True, "feedback": True},
+            {"warm": 1.0, "feedback": True},
         )
         reversed_ = (CoefficientChange(0.0, {"dr": -1.0}),)
         yield _trial("old_knowledge", seed, aircraft, words, fields, **flight, changes=reversed_)
@@ -384,7 +388,7 @@ def _glitch(seed: int, length: float) -> Iterator[Trial]:
 
 def _closed_loop(seed: int, length: float) -> Iterator[Trial]:
     """Correct coefficients from the start, every surface moved for ten seconds, then quiet."""
-    fields = {"warm": True, "feedback": True}
+    fields = {"warm": 1.0, "feedback": True}
     for aircraft, wind, noise in (
         ("c172p", 3, 0.01), ("c172p", 3, 0.03), ("light_aircraft", 0.3, 0.03),
     ):  # fmt: skip
@@ -393,6 +397,15 @@ def _closed_loop(seed: int, length: float) -> Iterator[Trial]:
         yield _trial(
             "closed_loop", seed, aircraft, words, fields, duration=length * 110.0, **flight
         )
+
+
+def _told_wrong(seed: int, length: float) -> Iterator[Trial]:
+    """Excited, and started from the coefficients of another aircraft."""
+    for factor in (0.4, 1.7):
+        for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 3)):
+            words, fields = f"told x {factor:g}", {"warm": factor}
+            flight = {**ALWAYS, "bank": 20.0, "wind": wind, "duration": length * 120.0}
+            yield _trial("told_wrong", seed, aircraft, words, fields, **flight)
 
 
 def _turned(matrix: Sequence[Sequence[float]], measured: Measurements) -> Measurements:
@@ -487,6 +500,7 @@ CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "unseen": _unseen,
     "random": _random,
     "closed_loop": _closed_loop,
+    "told_wrong": _told_wrong,
     "mistakes": _mistakes,
     "recorded": _recorded,
 }

@@ -17,15 +17,18 @@ from flying import (
     messages,
     run,
     settings,
+    since,
     worst,
 )
+from light_aircraft import TRUTH, LightFlight
+from verdict_flights import warm_start
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.noise import Measurements
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import vehicle
 
 STRUCTURE = "throttle_coupled"
@@ -164,3 +167,50 @@ def test_settings_that_may_not_change_are_refused_by_name() -> None:
     with pytest.raises(SettingsError, match=r"'update_rate' cannot change in flight"):
         identifier.reconfigure(Settings.from_values(values))
     assert identifier.settings is before
+
+
+# --- a start that is wrong ------------------------------------------------------------------------
+
+
+def told(factor: float) -> CoefficientSet:
+    """The light aircraft's coefficients, moments times `factor`, with 5 % of sigma."""
+    return warm_start(STRUCTURES["flight_dynamics"], TRUTH, factor)
+
+
+@cache
+def excited() -> Measurements:
+    peaks = {"de": 0.06, "dr": 0.08, "da": 0.06}
+    segment = Segment("multisine", 2.0, 100.0, peaks, seed=1)
+    flight = LightFlight((segment,), 45.0, seed=1, bank=20.0, gust=0.3, delay=0.02).fly()
+    return measure(flight, Sensors(gyro_noise=0.01, accelerometer_noise=0.15), 1)
+
+
+@pytest.mark.parametrize("factor", [0.4, 1.7])
+def test_a_start_from_another_aircraft_is_left_and_named(factor: float) -> None:
+    """All alike: what it leaves unexplained follows the inputs, as an autopilot's answers do."""
+    flown, (*_, last) = identified(excited(), told(factor))
+    wrong = {change.name for change in flown.supervisor.changed if change.told_wrong}
+    assert wrong == {"pdot/da", "qdot/de", "rdot/dr"}
+    structure = STRUCTURES["flight_dynamics"]
+    for name in wrong:
+        place = structure.index(name)
+        assert last.coefficients[place] == pytest.approx(TRUTH[name], rel=0.1)
+        assert last.sigma[place] < 0.25 * abs(TRUTH[name])
+
+
+def test_the_verdict_waits_as_after_a_cold_start_where_the_start_was_wrong() -> None:
+    flown, estimates = identified(excited(), told(1.7))
+    first = flown.supervisor.changed[0].t - estimates[0].t_ns * 1e-9
+    assert first < 20.0
+    assert not any(e.usable for e in since(estimates, first + 0.1, 29.0))
+
+
+def test_a_right_start_stays_where_an_autopilot_answers_gusts() -> None:
+    """Alone the flight would find half of the aileron."""
+    air = {"bank": 30.0, "gust": 1.0, "roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
+    flight = LightFlight((), 60.0, seed=1, **air).fly()
+    m = measure(flight, Sensors(gyro_noise=0.02, accelerometer_noise=0.1), 1)
+    flown, (*_, last) = identified(m, told(1.0))
+    assert flown.supervisor.changed == []
+    place = STRUCTURES["flight_dynamics"].index("pdot/da")
+    assert last.coefficients[place] == pytest.approx(TRUTH["pdot/da"], rel=0.05)

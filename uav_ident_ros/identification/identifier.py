@@ -186,7 +186,7 @@ class OnlineIdentifier:
                 raise SettingsError(f"'{setting.name}' cannot change in flight: start anew")
         self.settings = settings
         self.supervisor.settings = settings
-        self._warm = self._start.warm(settings.supervision.min_t_ratio)
+        self._warm = self._is_warm()
         if any(setting.restarts for setting in changed):
             self._make_signals_anew({setting.name for setting in changed})
         else:
@@ -196,8 +196,8 @@ class OnlineIdentifier:
     def _begin(self, start: Start, delay: float, lag: float) -> None:
         """Forget everything and start from what is known."""
         self._start = start
-        self._warm = start.warm(self.settings.supervision.min_t_ratio)
         self.estimator: Estimator = self._make_estimator(self.settings, self._start)
+        self._warm = self._is_warm()
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
         self.sampler.delay, self.sampler.time_constant = delay, lag
         self.delays = DelayBank(self.settings.actuators.longest_delay, lag)
@@ -221,6 +221,10 @@ class OnlineIdentifier:
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = self.idle = 0.0
         self.restart()
+
+    def _is_warm(self) -> bool:
+        """Whether the control derivatives were told, and the flight has not contradicted them."""
+        return self.estimator.start.warm(self.settings.supervision.min_t_ratio)
 
     def _make_signals_anew(self, given: set[str]) -> None:
         """Make the signals by the settings of now: a warm start from what was learned before."""
@@ -462,6 +466,8 @@ class OnlineIdentifier:
         self._estimate(regression.means(), int(block.t_ns[-1]) * NS, stretch.blocks)
         if self.estimator.changes:
             self.running_fit.forget()
+        if self.estimator.contradicted:
+            self._warm = self._is_warm()
         excited = bool(self.estimator.learning.any())
         if self.delays.add(block, self.sampler.delay, excited):
             self._adopt_delay()

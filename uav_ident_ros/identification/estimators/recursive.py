@@ -284,7 +284,8 @@ class RecursiveRegression:
         """Return which coefficients the flight alone contradicts, as told, shape (R, n).
 
         A conflict of prior and data (Evans and Moshonov 2006), by the sigma of an estimate that
-        knows of feedback, and only where inputs stand out from what else moves the aircraft.
+        knows of feedback, and only where inputs stand out from what else moves the aircraft. Of
+        main control derivatives that sigma is right from the first seconds on.
         """
         start = self._start
         off = np.abs(alone.coefficients - start.values)
@@ -294,17 +295,19 @@ class RecursiveRegression:
         i, j = self._layout.place[self._layout.used & rows[:, None]].T
         seen = np.zeros_like(sure)
         seen[i, j] = True
+        seen[MAIN_DERIVATIVES] = alone.clear
         return np.asarray(seen & sure & start.told(self._structure))
 
     def _withdraw(self, alone: RecursiveRegression) -> None:
         """Withdraw what was told of contradicted coefficients.
 
-        Rows whose main control derivative is among them go on with what the flight alone tells: the
-        scatter of their own residuals is that of a wrong model.
+        Of rows whose main control derivative is among them nothing told is left: they go on with
+        what the flight alone tells, since their own residuals are those of a wrong model.
         """
         if alone._since_sigma or not (against := self._contradicted(alone)).any():
             return  # where it has not looked anew, nothing is new
         for row in np.flatnonzero(against[MAIN_DERIVATIVES]).tolist():
+            against[row] = True
             self.information.set_row(row, alone.information.sums_of())
             self.information.variance[:, row] = alone.information.variance[:, row]
             self._error.forget(row)
