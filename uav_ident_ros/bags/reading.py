@@ -17,6 +17,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from uav_ident_ros.bags.decoding import decode_cdr
 from uav_ident_ros.bags.limits import LARGEST_DEFINITION, guard_rosbags
 from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
 from uav_ident_ros.messages.types import listed
@@ -235,7 +236,7 @@ class Bag:
 
         def decode(data: bytes) -> Any:
             try:
-                return self._store.deserialize_cdr(data, msgtype)
+                return decode_cdr(self._store, data, msgtype)
             except Exception as error:
                 raise BagError(
                     f"bag '{self.path}': a message on '{topic}' is no {msgtype}: {_reason(error)}"
