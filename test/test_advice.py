@@ -86,6 +86,13 @@ E = good()
 SURE = E.delay
 FINDING = Settings.from_values({"structure": "augmented", "actuators.estimate_delay": True})
 """Settings of somebody who has the delay found, as an imported log's are."""
+QUAD = Settings.from_values(
+    {
+        "structure": "augmented",
+        "actuators.mixing.de": (0.25, 0.25, -0.25, -0.25),
+        "actuators.mixing.dth": (0.25,) * 4,
+    }
+)
 MIN_T_RATIO = E.settings.supervision.min_t_ratio
 AT_REST, AT_LIMIT = "at rest: no rate has moved by … rad/s", "channel … is at its limit"
 STILL_RUDDER = {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST_ABOVE))}
@@ -109,6 +116,10 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      "the aircraft hardly flew: 95 % of the time at rest: no rate .*, not armed; take a flight"),
     ("no_excitation", moves(0.0, 0.0, 0.1, 0.1), moves(0.0, 0.0, 0.0, 0.1),
      "no surface moved: .* 'actuators.channels'"),
+    ("no_excitation", moves(0.0, 0.0, 0.1, 0.1), moves(0.0, 0.0, 0.0, 0.1) | {"settings": QUAD},
+     "no roll, pitch or yaw input moved: "),
+    ("weak_excitation", STILL_RUDDER, WEAK_RUDDER | {"settings": QUAD},
+     "not enough yaw input excitation: .*; move the yaw input more"),
     ("gated", {"lost": {AT_LIMIT: LOST_SHARE * JUST_BELOW, "not armed": 0.5}},
      {"lost": {AT_LIMIT: LOST_SHARE * 1.1}, "gate_settings": {AT_LIMIT: "actuators.upper_limit"}},
      r"nothing was learned in 33 % of the flight: channel … is at its limit \(see 'actuators.up"),

@@ -59,13 +59,14 @@ def light_measured(
     peaks: Mapping[str, float] = PEAKS,
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
     start: float = 2.0,
+    imu_rate: float = 100.0,
     **aircraft: Any,
 ) -> Measurements:
     """Multisines on an aircraft with flow angles, in light gusts, as its Imu measures them."""
     segments = [Segment("multisine", start, seconds, peaks, seed=1)]
     flight = flight_of(LightFlight(segments, seconds, **{"gust": 0.3, "seed": 1, **aircraft}))
     noise = {"gyro_noise": 0.01, "accelerometer_noise": 0.15}
-    return measure(flight, Sensors(rate=100.0, lever_arm=lever_arm, **noise))
+    return measure(flight, Sensors(rate=imu_rate, lever_arm=lever_arm, **noise))
 
 
 def settings(measurements: Measurements, **changes: Any) -> Settings:

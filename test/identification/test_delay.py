@@ -3,6 +3,7 @@
 
 import math
 import pickle
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -307,6 +308,18 @@ def test_what_a_hidden_lag_takes_from_an_input_is_its_attenuation() -> None:
         bank.estimate = delay.DelayEstimate(hidden=lag)
         expected = 1.0 - 1.0 / math.hypot(1.0, lag * quickness)
         assert bank.lost() == pytest.approx([0.0, expected, 0.0, 0.0], abs=0.01)
+
+
+def test_a_vibration_beyond_the_steps_of_the_bank_accuses_no_delay() -> None:
+    """At 40 Hz of steps 50 Hz looked like 10 Hz: 'the inputs act 20 ms later' was said."""
+    m = light_measured(60.0, rate=1000.0, imu_rate=250.0, delay=0.02)
+    t = (m.imu_t_ns - m.imu_t_ns[0]) * 1e-9
+    phases = np.cumsum(np.random.default_rng(5).normal(0.0, 0.1, len(t)))
+    shake = np.sin((2.0 * np.pi * 50.5 * t + phases)[:, None] + np.arange(3.0))
+    identifier, estimates = identified(replace(m, rates=m.rates + 0.3 * shake))
+    estimate = identifier.delays.estimate
+    assert estimate.sure and estimate.off(0.02) == 0.0
+    assert not any("the inputs act" in e.reason for e in estimates)
 
 
 def test_the_delay_rests_when_the_excitation_ends() -> None:

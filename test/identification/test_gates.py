@@ -18,6 +18,7 @@ from uav_ident_ros.identification.gates import (
     Look,
     RestGate,
     SensorGate,
+    SpikeFilter,
 )
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import Drop
@@ -366,6 +367,59 @@ def test_only_an_instant_out_of_range_is_a_glitch() -> None:
         which = one.find(saturated, 34.9)
         assert which is not None and which.tolist() == found_then
     assert one.find(quiet, 34.9) is None and GlitchFilter().find(saturated, 0.0) is None
+
+
+def test_spikes_within_the_range_of_the_gyro_cost_nothing(excited: Measurements) -> None:
+    """10 rad/s in one sample of 500: 'dr has hardly moved of late' was said of a rudder at work."""
+    rng = np.random.default_rng(5)
+
+    def spoil(_: float, m: flying.Message) -> flying.Message:
+        return with_rates(m, np.array(m.values[:3]) + 10.0 * (rng.random(3) < 0.002))
+
+    flown = identifier(excited)
+    estimates = flying.run(flown, altered(excited, spoil))
+    assert all(e.usable for e in flying.since(estimates, 34.0, 45.0))
+    count = 45.0 * 200.0 * 3 * 0.002
+    assert flown.intake.drops["rates"][Drop.SPIKE] == pytest.approx(count, rel=0.3)
+    assert healthy().usable
+    last = estimates[-1].coefficients
+    np.testing.assert_allclose(last, healthy().coefficients, rtol=5e-2, atol=0.2)
+
+
+def spikes_of(column: np.ndarray[Any, Any], ticks: int = 5) -> list[int]:
+    """Samples that are left out of one signal, which comes so many at a time."""
+    samples, found = np.zeros((len(column), 6)), SpikeFilter()
+    samples[:, 1] = column
+    out: list[int] = []
+    for k in range(0, len(column), ticks):
+        which = found.find(samples[k : k + ticks], 0.05)
+        out += [] if which is None else (k + np.flatnonzero(which)).tolist()
+    return out
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 5])
+def test_a_spike_is_one_sample_and_the_next_is_back(ticks: int) -> None:
+    t = 0.01 * np.arange(1000)
+    rates = 0.3 * np.sin(2.0 * t) + np.random.default_rng(1).normal(0.0, 0.01, len(t))
+    assert spikes_of(rates, ticks) == []
+    spoiled, where = rates.copy(), [300, 304, 305, 501, 502, 799]
+    spoiled[where] += [5.0, -5.0, 5.0, -5.0, 5.0, 5.0]  # single ones, and some beside others
+    assert spikes_of(spoiled, ticks) == where
+    # A blow, however hard: it is elsewhere from then on.
+    thrown = rates + 20.0 * (t > 6.0)
+    assert set(spikes_of(thrown, ticks)) <= {601}
+
+
+@pytest.mark.parametrize("cycles", [0.5, 0.45, 0.34, 0.25])
+def test_noise_and_vibration_are_no_spikes(cycles: float) -> None:
+    """Even at half the sampling rate, where each sample leaves both its neighbours."""
+    k = np.arange(20_000)
+    for signal in (
+        np.cos(2.0 * np.pi * cycles * k),
+        np.random.default_rng(2).normal(size=len(k)),
+        0.1 * np.round(np.random.default_rng(3).normal(0.0, 0.4, len(k))),  # coarse
+    ):
+        assert spikes_of(signal) == []
 
 
 AT_REST = "at rest: no rate moves beyond the gyro's noise"

@@ -314,6 +314,30 @@ def test_reversed_and_swapped_channels_are_named_once_that_is_sure(
     assert (found.name if found else None) == name
 
 
+QUAD = {  # four motors, which lift it and turn it
+    "actuators__mixing__de": (0.25, 0.25, -0.25, -0.25),
+    "actuators__mixing__da": (0.25, -0.25, -0.25, 0.25),
+    "actuators__mixing__dr": (0.25, -0.25, 0.25, -0.25),
+    "actuators__mixing__dth": (0.25,) * 4,
+}
+
+
+@pytest.mark.parametrize(
+    ("given", "swapped", "reversed_"),
+    [
+        ({}, "rudder and aileron are swapped", "a surface is connected the wrong way round"),
+        (QUAD, "yaw and roll inputs are swapped", "a motor is connected the wrong way round"),
+    ],
+)
+def test_a_multirotor_has_no_surfaces(given: dict[str, Any], swapped: str, reversed_: str) -> None:
+    expected = {"supervision__expected_signs": ("+pdot/da",)}
+    for changes, words in ((SWAPPED, swapped), ({"pdot_da": -45.0}, reversed_)):
+        looker = Plausibility(settings_of(structure="augmented", **given, **expected))
+        judged(looker, 1.0, coefficients(**changes), 1.0)
+        judged(looker, 6.0, coefficients(**changes), 1.0)
+        assert words in looker.fault
+
+
 def judged(looker: Plausibility, t: float, values: FloatArray, sigma: float) -> list[str]:
     """What is found at a time by what was learned until then."""
     nothing = np.zeros((0, 6))

@@ -13,7 +13,15 @@ INPUT_WORDS: Mapping[str, str] = {
     "da": "aileron",
     "dth": "throttle",
 }
-"""The inputs."""
+"""The inputs of an aircraft with wings."""
+
+AXIS_INPUT_WORDS: Mapping[str, str] = {
+    "de": "pitch input",
+    "dr": "yaw input",
+    "da": "roll input",
+    "dth": "throttle",
+}
+"""Those of a multirotor, which has no surfaces."""
 
 AXIS_WORDS: Mapping[str, str] = {"pdot": "roll", "qdot": "pitch", "rdot": "yaw"}
 """The rows."""

@@ -31,10 +31,10 @@ from uav_ident_ros.identification.settings import ActuatorSettings, Settings
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
-REST_NOISE = 2.0 * DOUBTLESS
-"""Swing of the rates, relative to the gyro's noise, up to which nothing moves: noise of two seconds
-swings by no more both ways, and by 3 to 6 as a rule, aircraft in the smoothest flight by 11 and
-more."""
+NOISE_SWING = 2.0 * DOUBTLESS
+"""Swing, relative to its standard deviation, that noise of two seconds does not exceed: `DOUBTLESS`
+both ways, and 3 to 6 as a rule. Rates of aircraft in the smoothest flight swing by 11 and more of
+the gyro's."""
 
 REST_SWAY = 0.01
 """Swing of the rates of an aircraft that stands, rad/s: wind and an idling engine rock it."""
@@ -230,6 +230,65 @@ class GlitchFilter:
         return out
 
 
+class SpikeFilter:
+    """Leaves out single samples that are far from both their neighbours, as no motion is.
+
+    A sample between its neighbours stays, so that steps do, however steep. Far is more than the
+    signal's own rms of late by `NOISE_SWING`: a vibration at half the sampling rate, which comes
+    back with every sample, is 2.8 of its rms away.
+    """
+
+    def __init__(self) -> None:
+        self._square: FloatArray = np.zeros(len(SIGNALS))
+        self._time = 0.0
+        # The last sample, and the last that was no spike
+        self._last: FloatArray | None = None
+        self._kept: FloatArray = np.zeros(len(SIGNALS))
+
+    def find(self, samples: FloatArray, dt: float) -> BoolArray | None:
+        """Return which samples are spikes, shape (k,); None if none is.
+
+        The last one has no neighbour after it yet: it counts as one if it leaves all before it.
+
+        Parameters
+        ----------
+        samples : (k, 6) array
+            New samples.
+        dt : float
+            Time that they stand for, s.
+        """
+        if not len(samples):
+            return None
+        if self._last is None:
+            self._last = self._kept = samples[0]
+        rows, which = np.concatenate((self._last[None], samples)), None
+        if self._time >= INDEPENDENT_TIME:
+            limit = NOISE_SWING * np.sqrt(self._square)
+            if (np.abs(rows[1:] - rows[:-1]) > limit).any():
+                which = self._far(rows, limit)
+        if which is None:
+            self._kept = samples[-1]
+        self._last = samples[-1]
+        self._time = min(self._time + dt, SHORT_MEMORY)
+        mean = np.add.reduce(samples * samples) / len(samples)
+        self._square += dt / self._time * (mean - self._square)
+        return which
+
+    def _far(self, rows: FloatArray, limit: FloatArray) -> BoolArray | None:
+        """Find those after the first that are beyond both neighbours by more than `limit`."""
+        which = np.zeros(len(rows) - 1, dtype=bool)
+        for k in range(len(which)):
+            before, here = rows[k], rows[k + 1]
+            after = rows[k + 2] if k + 2 < len(rows) else self._kept
+            beyond = (here < np.minimum(before, after) - limit) | (
+                here > np.maximum(before, after) + limit
+            )
+            which[k] = beyond.any()
+            if not which[k]:
+                self._kept = here
+        return which if which.any() else None
+
+
 class SensorGate:
     """Closed while a signal of the Imu is saturated or stuck, and shortly after.
 
@@ -418,7 +477,7 @@ def _still(means: FloatArray, min_motion: float, min_force_motion: float) -> str
     """Return what does not move, by the means of some ticks, (n, 6); empty if everything does."""
     swing = np.maximum.reduce(means) - np.minimum.reduce(means)
     rate = float(swing[:AXES].max())
-    if rate < min_motion and rate < max(REST_SWAY, REST_NOISE * _noise(means[:, :AXES])):
+    if rate < min_motion and rate < max(REST_SWAY, NOISE_SWING * _noise(means[:, :AXES])):
         return "no rate moves beyond the gyro's noise"
     if swing[AXES:].max() < min_force_motion:
         return f"no specific force has moved by {min_force_motion:g} m/s^2"

@@ -18,7 +18,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
-from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, grounded
+from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, SpikeFilter, grounded
 from uav_ident_ros.identification.parallel_model import (
     ParallelModel,
     RunningFit,
@@ -56,7 +56,7 @@ from uav_ident_ros.identification.scales import (
 )
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
 from uav_ident_ros.identification.supervision import State, Supervisor
 
 STRETCH_TIME = 4.0 * SAMPLE_TIME
@@ -242,7 +242,7 @@ class OnlineIdentifier:
         self._armed.clear()
         self.supervisor.restart()
         self.plausibility.restart()
-        self._glitches = GlitchFilter()
+        self._glitches, self._spikes = GlitchFilter(), SpikeFilter()
         self.intake.restart()
         self._filter: StateVariableFilter | None = None
         self._stretches = Stretches()
@@ -405,9 +405,10 @@ class OnlineIdentifier:
             samples, channels = samples[:0], channels[:0]
         which = self._glitches.find(samples[:, :3], self.settings.supervision.max_rate)
         if which is not None:
-            rates.leave_out(which)
-            samples = rates.v[new:]
-            self.intake.drops[RATES][Drop.GLITCH] += int(which.sum())
+            samples = self._left(new, which, Drop.GLITCH)
+        which = self._spikes.find(samples, 1.0 / self.settings.update_rate)
+        if which is not None:
+            samples = self._left(new, which, Drop.SPIKE)
         if len(rates.t):
             self._newest_rates = rates.v[-1, :3]
         if self.settings.supervision.plausibility:
@@ -419,6 +420,12 @@ class OnlineIdentifier:
             self.plausibility.signal_fault, self.settings,
         )  # fmt: skip
         supervisor.gates.look(look)
+
+    def _left(self, new: int, which: BoolArray, drop: Drop) -> FloatArray:
+        """Drop some of the samples of the rates from `new` on; return what is left of them."""
+        self.sampler.rates.leave_out(which)
+        self.intake.drops[RATES][drop] += int(which.sum())
+        return self.sampler.rates.v[new:]
 
     def _filtered_tick(self, t_ns: int) -> bool:
         """Learn from the blocks that this tick completes; return whether samples still come.

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -129,6 +130,7 @@ class Plausibility:
         self._map = InputMap(settings.actuators)
         self._structure = STRUCTURES[settings.structure]
         self._expected = settings.supervision.expected_signs
+        self._multirotor = settings.actuators.multirotor
         self._sums: FloatArray = np.zeros(7)
         """Of the direction of the specific force, of itself, and of its size, times s."""
         self._time = 0.0
@@ -180,9 +182,10 @@ class Plausibility:
             Estimate and standard deviations.
         """
         known = (self._structure, coefficients, sigma, self._expected)
-        found, before = coefficient_finding(*known), self._doubt
+        find = partial(coefficient_finding, *known, multirotor=self._multirotor)
+        found, before = find(), self._doubt
         if found is None:
-            likely = before and coefficient_finding(*known, sure=0.0)
+            likely = before and find(sure=0.0)
             if likely is None or before is None or likely.name != before.finding.name:
                 self._doubt = None
         elif before is None or found.name != before.finding.name:
@@ -416,6 +419,8 @@ def coefficient_finding(
     sigma: FloatArray,
     expected: tuple[str, ...],
     sure: float = SURE,
+    *,
+    multirotor: bool = False,
 ) -> Finding | None:
     """Find channels that are swapped or reversed, by what they were found to do.
 
@@ -429,23 +434,33 @@ def coefficient_finding(
         Signs of control derivatives, as in ``+pdot/da``.
     sure : float
         Standard deviations from which it counts.
+    multirotor : bool
+        Whether it has motors in place of surfaces, in words.
     """
+    words = ("yaw and roll inputs", "motor") if multirotor else ("rudder and aileron", "surface")
+    both, actuator = words
     for entry in expected:
         sign, index = entry[0], structure.index(entry[1:])
         value, spread = float(coefficients[index]), float(sigma[index])
         if spread > 0.0 and value * (1.0 if sign == "+" else -1.0) < -sure * spread:
             return Finding(
                 "signs",
-                f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}: a surface is "
-                "connected the wrong way round; turn it, or its sign in actuators.mixing",
+                f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}: a {actuator} "
+                "is connected the wrong way round; turn it, or its sign in actuators.mixing",
             )
-    return _swapped(structure, coefficients, sigma, sure)
+    if not _swapped(structure, coefficients, sigma, sure):
+        return None
+    return Finding(
+        "swapped",
+        f"{both} are swapped: dr rolls the aircraft more than da does; exchange them in "
+        "actuators.channels or actuators.mixing",
+    )
 
 
 def _swapped(
     structure: Structure, coefficients: FloatArray, sigma: FloatArray, sure: float
-) -> Finding | None:
-    """Find a rudder that rolls more than the aileron does, and does not clearly yaw more.
+) -> bool:
+    """Whether a rudder rolls more than the aileron does, and does not clearly yaw more.
 
     The true rudder's side force has no column under the aileron's name, so that the yaw of both
     is told apart late, if at all.
@@ -456,13 +471,7 @@ def _swapped(
         by = abs(coefficients.item(i)) - abs(coefficients.item(j))
         return by > sure * math.hypot(sigma.item(i), sigma.item(j))
 
-    if not exceeds("pdot/dr", "pdot/da", sure) or exceeds("rdot/dr", "rdot/da", SURE):
-        return None
-    return Finding(
-        "swapped",
-        "rudder and aileron are swapped: dr rolls the aircraft more than da does; exchange them in "
-        "actuators.channels or actuators.mixing",
-    )
+    return exceeds("pdot/dr", "pdot/da", sure) and not exceeds("rdot/dr", "rdot/da", SURE)
 
 
 # --- what settings that are off do to the derivatives ---------------------------------------------

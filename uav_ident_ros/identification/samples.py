@@ -173,6 +173,7 @@ class Drop(StrEnum):
     OUTLYING_STAMP = "outlying stamp"
     IMPLAUSIBLE = "implausibly large"
     GLITCH = "out of range for an instant"
+    SPIKE = "far from the samples before and after"
     LATE = "late"
     DUPLICATE = "repeated stamp"
     CLOCK_MISMATCH = "stamp far from the Imu's"

@@ -317,6 +317,13 @@ class ActuatorSettings:
         " rate they expire sooner, after five intervals or 0.1 s. Raise it for publishers that "
         "send changes only.")
 
+    @property
+    def multirotor(self) -> bool:
+        """Whether channels that lift it also roll or pitch it, as a multirotor's motors do."""
+        rows = self.mixing
+        shared = zip(rows.de, rows.da, rows.dth, strict=False)
+        return any(dth and (de or da) for de, da, dth in shared)
+
 
 @dataclass(frozen=True)
 class FilterSettings:

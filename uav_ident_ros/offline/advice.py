@@ -7,7 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
+from uav_ident_ros.files.meanings import (
+    AXIS_INPUT_WORDS,
+    AXIS_WORDS,
+    INPUT_WORDS,
+    MEANINGS,
+)
 from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.identification.structure import INPUTS, ROWS
 from uav_ident_ros.offline.evidence import ROW_FORCES, Evidence
@@ -95,8 +100,9 @@ def never_flew(e: Evidence) -> Iterator[str]:
 def no_excitation(e: Evidence) -> Iterator[str]:
     """Say that no surface moved at all: then nothing else matters."""
     if (e.input_spread[: INPUTS.index("dth")] < STILL).all():
+        what = "roll, pitch or yaw input" if e.settings.actuators.multirotor else "surface"
         yield (
-            "no surface moved: their effects are unknown; check 'actuators.channels' and "
+            f"no {what} moved: their effects are unknown; check 'actuators.channels' and "
             f"'actuators.mixing', or excite the aircraft: {EXCITING_MODES}"
         )
 
@@ -112,9 +118,10 @@ def gated(e: Evidence) -> Iterator[str]:
 
 def weak_excitation(e: Evidence) -> Iterator[str]:
     """Name the surfaces that moved too little to know what they do."""
+    words = AXIS_INPUT_WORDS if e.settings.actuators.multirotor else INPUT_WORDS
     needed = e.settings.supervision.min_t_ratio
     for name, derivative in MAIN_DERIVATIVES.items():
-        word, ratio = INPUT_WORDS[name], e.t_ratio(derivative, setup=False)
+        word, ratio = words[name], e.t_ratio(derivative, setup=False)
         if e.input_spread[INPUTS.index(name)] < STILL:
             yield f"the {word} never moved: its effect is unknown; move it"
         elif ratio is not None and ratio < needed:
@@ -311,7 +318,7 @@ def collinear_groups(e: Evidence) -> Iterator[str]:
     if groups:
         listed = "; ".join(" and ".join(group) for group in groups)
         yield (
-            f"only a combination is known of {listed}: move the surface when the others are still"
+            f"only a combination is known of {listed}: move each input when the others are still"
         )
 
 
