@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import Message, flight_of, messages, run, settings
+from flying import PEAKS, Message, flight_of, messages, run, settings
+from light_aircraft import TRUTH, LightFlight
 
 from uav_ident_ros.identification.delay import APART, LAGS, STEP, SYSTEMATIC_ERROR, told
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -149,3 +150,23 @@ def test_a_lag_that_is_found_is_used_where_the_delay_is_to_be_found() -> None:
     assert (resumed.delay, resumed.lag) == (found.delay, found.lag)
     found.reset()
     assert (found.delay, found.lag) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(("lag", "usable"), [(0.0, True), (0.07, False)])
+def test_a_short_lag_that_the_sum_leaves_open_denies_no_row(lag: float, usable: bool) -> None:
+    """A lag and as much of delay differ in second order: 'not separated' was said all flight."""
+    segments = (Segment("multisine", 2.0, 60.0, PEAKS, seed=1),)
+    flight = flight_of(
+        LightFlight(segments, 60.0, gust=0.3, bank=20.0, delay=0.02, time_constant=lag, seed=1)
+    )
+    m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15))
+    pairs = zip(m.actuator_t_ns.tolist(), flight.injected.tolist(), strict=True)
+    added = [Message(t, "excitation", t, tuple(values)) for t, values in pairs]
+    given = {"actuators__time_constant": 0.0, "actuators__estimate_delay": True}
+    identifier = OnlineIdentifier(settings(m, **given))
+    *_, last = run(identifier, sorted([*messages(m), *added], key=lambda m: m.arrival_ns))
+    assert identifier.delays.estimate.lag_is_told
+    assert identifier.lag == 0.0 and last.usable == usable, last.reason
+    for name in ("pdot/da", "qdot/de", "rdot/dr"):
+        index = identifier.structure.index(name)
+        assert last.coefficients[index] == pytest.approx(TRUTH[name], abs=2.0 * last.sigma[index])

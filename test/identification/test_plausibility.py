@@ -4,7 +4,7 @@
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -413,6 +413,21 @@ def test_sigma_covers_what_a_lag_takes_from_an_input_where_nothing_damps() -> No
     assert "servo lag are not separated" in setup.denied(values, 4.0)[2]
     setup.look(values, sure, 0.1, lambda: lost, 0.0, lag_is_told=True)
     assert setup.widened(np.full(values.shape, 0.1))[rudder] == 0.1
+
+
+def test_where_the_sum_is_told_a_lag_counts_to_second_order() -> None:
+    """Beside it counts, to first order, what the delay in use misses of the sum."""
+    structure = STRUCTURES["flight_dynamics"]
+    values, rudder, damping = np.zeros((5, structure.size)), structure.index("rdot/dr"), 5.0
+    values[rudder], values[structure.index("rdot/r")] = -9.0, -damping
+    told = DelayEstimate(0.03, 0.01, 0.03, 0.01, 9.0, 0.02, lag_sigma=0.02, hidden=0.04)
+    for total, missed in ((0.03, 0.0), (0.05, 0.02), (0.01, -0.02)):
+        setup = SetupErrors(structure, 20.0)
+        estimate = replace(told, total=total)
+        setup.look(values, estimate, 0.03, lambda: np.zeros(4), 0.0, lag_is_told=False)
+        share = damping * abs(missed) + 0.5 * (damping * told.hidden) ** 2
+        widened = setup.widened(np.full(values.shape, 1e-6))[rudder]
+        assert widened == pytest.approx(9.0 * share, rel=1e-3)
 
 
 def test_a_height_that_is_told_is_none_that_is_off() -> None:

@@ -106,6 +106,11 @@ class DelayEstimate:
         return self.sure and self.total_sigma <= SURE_SIGMA
 
     @property
+    def lag_is_told(self) -> bool:
+        """Whether it is what is injected that tells of delay and lag, with standard deviations."""
+        return math.isfinite(self.lag_sigma)
+
+    @property
     def lag_sure(self) -> bool:
         """Whether the split is known: chance adds no more to its error than is there anyway."""
         return self.total_sure and self.lag_sigma <= math.sqrt(2.0) * SYSTEMATIC_ERROR

@@ -536,7 +536,7 @@ class SetupErrors:
         if estimate.off(delay):
             self._found.append(self._delay_error(values, estimate, delay))
         elif estimate.sure and not lag_is_told:
-            self._found.append(self._lag_error(values, estimate.hidden, lost()))
+            self._found.append(self._lag_error(values, estimate, delay, lost()))
         if height:
             self._found.append(self._height_error(values, height))
 
@@ -566,25 +566,39 @@ class SetupErrors:
         off = estimate.off(delay)
         return SetupError(self._late(values, off), estimate.contradiction(delay))
 
-    def _lag_error(self, values: FloatArray, hidden: float, lost: FloatArray) -> SetupError:
-        """Return what a servo lag, s, does that a delay stands for.
+    def _lag_error(
+        self, values: FloatArray, estimate: DelayEstimate, delay: float, lost: FloatArray
+    ) -> SetupError:
+        """Return what a servo lag does that a delay in use, s, stands for.
 
-        The delay makes the input as late. What the lag takes from it stays: ``1 / (1 + a T)`` where
-        damping makes up for it, else what is `lost` of the input.
+        The delay makes the input as late. What the lag T takes from it stays: ``1 / (1 + a T)``
+        where damping makes up for it, else what is `lost` of the input. Where what is injected has
+        told the sum of delay and lag, only what the delay misses of it counts to first order:
+        a lag and as much of delay differ by ``(a T)^2 / 2``.
         """
-        errors = self._late(values, hidden)
+        hidden, settles = estimate.hidden, self._settles(values)
+        share, missed, cure = np.abs(hidden * settles), 0.0, "or excite the aircraft (~/excite)"
+        if estimate.lag_is_told:
+            share, cure = 0.5 * share**2, "or go on with the excitation"
+            missed = estimate.total - delay
+        errors = share[:, None] * np.abs(values[: len(ROWS)])
         inputs = errors[:, INPUT_COLUMNS]
         np.maximum(inputs, lost * np.abs(values[: len(ROWS), INPUT_COLUMNS]), out=inputs)
+        errors += self._late(values, missed)
         return SetupError(
             errors,
             f"delay and servo lag are not separated: {1e3 * hidden:.0f} ms of the delay found may "
-            "be lag; set 'actuators.time_constant', or excite the aircraft (~/excite)",
+            f"be lag; set 'actuators.time_constant', {cure}",
         )
 
     def _late(self, values: FloatArray, time: float) -> FloatArray:
         """By how much an input that comes so late, s, falsifies the moment rows, (3, n)."""
-        share = np.abs(time * damping(self._structure, values, self._airspeed))
+        share = np.abs(time * self._settles(values))
         return np.asarray(share[:, None] * np.abs(values[: len(ROWS)]))
+
+    def _settles(self, values: FloatArray) -> FloatArray:
+        """How fast each axis settles, 1/s, (3,)."""
+        return damping(self._structure, values, self._airspeed)
 
     def _height_error(self, values: FloatArray, height: float) -> SetupError:
         """Return what an accelerometer does that is higher, m, than `imu.lever_arm` says.
