@@ -386,6 +386,28 @@ def test_spikes_within_the_range_of_the_gyro_cost_nothing(excited: Measurements)
     np.testing.assert_allclose(last, healthy().coefficients, rtol=5e-2, atol=0.2)
 
 
+def test_a_step_of_the_clock_of_the_inputs_is_no_change_of_the_aircraft(
+    excited: Measurements,
+) -> None:
+    """It was 'pdot/da changed in flight' after stamps that stepped by 0.2 s."""
+    stream = flying.messages(excited)
+    start = stream[0].t_ns
+    late = [
+        m._replace(t_ns=m.t_ns + 200_000_000)
+        if m.stream == "actuators" and m.t_ns > start + 20 * 10**9
+        else m
+        for m in stream
+    ]
+    flown = identifier(excited)
+    estimates = flying.run(flown, late)
+    assert not flown.supervisor.changed and estimates[-1].usable
+    assert "stepped by +0.20 s" in flown.plausibility.noted["clock step"].text
+    for name in flying.DOMINANT:  # a second of it was learned before it was sure
+        index = flown.structure.index(name)
+        expected = healthy().coefficients[index]
+        assert estimates[-1].coefficients[index] == pytest.approx(expected, rel=0.05)
+
+
 def spikes_of(column: np.ndarray[Any, Any], ticks: int = 5) -> list[int]:
     """Samples that are left out of one signal, which comes so many at a time."""
     samples, found = np.zeros((len(column), 6)), SpikeFilter()

@@ -8,7 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import LATEST_STAMP, Drop, Intake, SampleBuffer
+from uav_ident_ros.identification.samples import (
+    LATEST_STAMP,
+    USUAL,
+    ClockSteps,
+    Drop,
+    Intake,
+    SampleBuffer,
+)
 from uav_ident_ros.identification.scales import IN_A_ROW
 from uav_ident_ros.identification.settings import Settings
 
@@ -152,3 +159,60 @@ def test_ticks_end_with_the_last_stamp() -> None:
         ticks += [estimate.t_ns for estimate in identifier.advance()]
     assert ticks
     assert max(ticks) <= LATEST_STAMP
+
+
+# --- a clock that steps ---------------------------------------------------------------------------
+
+MS = 1_000_000
+
+
+def arrived(
+    step: int = 0, rates_late: int = 0, late: int = 0, lost: int = 0, every: int = 20
+) -> tuple[ClockSteps, list[int]]:
+    """Six seconds of a stream beside rates at 100 Hz; from 3 s to 5 s something happens, in ms.
+
+    Its clock steps for good, the rates or it arrive later, or it pauses.
+    """
+    clock, stamps = ClockSteps(), []
+    events = [(t + (rates_late if 3000 <= t < 5000 else 0), 0, t) for t in range(0, 6000, 10)]
+    for t in range(5, 6000, every):
+        happens = 3000 <= t < 5000
+        if not 3000 <= t < 3000 + lost:
+            arrival = t + (late if happens else 0)
+            events.append((arrival, 1, t + (step if t >= 3000 else 0)))
+    newest = 0
+    for _, kind, t in sorted(events):
+        if kind == 0:
+            newest = max(newest, t)
+        else:
+            stamps.append(round(clock.put_right(t * MS, newest * MS) / MS))
+    return clock, stamps
+
+
+@pytest.mark.parametrize("step", [40, 200, 900, -40, -200, -900])
+@pytest.mark.parametrize("every", [5, 20, 100])
+def test_a_clock_that_steps_is_taken_back(step: int, every: int) -> None:
+    clock, stamps = arrived(step=step, every=every)
+    assert len(clock.steps) == 1
+    assert clock.steps[0] / MS == pytest.approx(step, abs=10.0)  # the rates come every 10 ms
+    assert stamps[-5:] == pytest.approx(range(5, 6000, every)[-5:], abs=10.0)
+
+
+@pytest.mark.parametrize("every", [5, 20, 100])
+@pytest.mark.parametrize(
+    "what",
+    [{"rates_late": 300}, {"late": 300}, {"lost": 700}, {"late": 300, "lost": 700}],
+    ids=str,
+)
+def test_what_comes_late_or_is_lost_is_no_step_of_a_clock(what: dict[str, int], every: int) -> None:
+    clock, stamps = arrived(**what, every=every)
+    assert clock.steps == []
+    expected = [t for t in range(5, 6000, every) if not 3000 <= t < 3000 + what.get("lost", 0)]
+    assert sorted(stamps) == expected
+
+
+def test_nothing_is_a_step_before_it_is_known_what_is_usual() -> None:
+    clock = ClockSteps()
+    for k in range(USUAL):
+        t = (k * 20 + 300 * (k > 5)) * MS
+        assert clock.put_right(t, k * 20 * MS) == t

@@ -25,7 +25,7 @@ from uav_ident_ros.identification.parallel_model import (
     Stretch,
     Stretches,
 )
-from uav_ident_ros.identification.plausibility import Plausibility, SetupErrors
+from uav_ident_ros.identification.plausibility import Plausibility, SetupErrors, clock_step
 from uav_ident_ros.identification.prior import Start, resumed, start_from, without_flow
 from uav_ident_ros.identification.regression import (
     BackwardDifference,
@@ -244,6 +244,7 @@ class OnlineIdentifier:
         self.plausibility.restart()
         self._glitches, self._spikes = GlitchFilter(), SpikeFilter()
         self.intake.restart()
+        self._noted_steps = 0
         self._filter: StateVariableFilter | None = None
         self._stretches = Stretches()
         self._news = True
@@ -411,6 +412,10 @@ class OnlineIdentifier:
             samples = self._left(new, which, Drop.SPIKE)
         if len(rates.t):
             self._newest_rates = rates.v[-1, :3]
+        steps = self.intake.clock_steps.steps
+        for size_ns in steps[self._noted_steps :]:
+            self.plausibility.note(t_ns * NS, clock_step(size_ns * NS))
+        self._noted_steps = len(steps)
         if self.settings.supervision.plausibility:
             fresh = channels[inputs.after(self._looked_ns) :]
             self.plausibility.look(t_ns * NS, samples, fresh)

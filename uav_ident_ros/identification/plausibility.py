@@ -99,6 +99,17 @@ class Finding:
     fault: bool = True
 
 
+def clock_step(seconds: float) -> Finding:
+    """Return what is said of stamps of the actuators that stepped, s."""
+    return Finding(
+        "clock step",
+        f"the stamps of the actuators stepped by {seconds:+.2f} s against the Imu's: it was taken "
+        "back, so that what was learned still holds. Synchronise the clocks before the flight, not "
+        "in it",
+        fault=False,
+    )
+
+
 class Doubt(NamedTuple):
     """Channels that were found, by what they do, to be swapped or reversed.
 
@@ -172,6 +183,11 @@ class Plausibility:
     def doubted(self) -> bool:
         """Whether the coefficients say that channels are swapped or reversed, sure or not yet."""
         return self._doubt is not None
+
+    def note(self, t: float, finding: Finding) -> None:
+        """Take note of what was found elsewhere at `t` s."""
+        self._found[finding.name] = t, finding
+        self.noted[finding.name] = finding
 
     def judge(self, coefficients: FloatArray, sigma: FloatArray) -> None:
         """Look at what was learned for channels that are swapped or reversed.

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.scales import IN_A_ROW
+from uav_ident_ros.identification.scales import IN_A_ROW, INDEPENDENT_TIME, STEP
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, MAX_DELAY, Settings
 from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 
@@ -217,6 +217,104 @@ class Stream(NamedTuple):
     calls_off: bool = False  # Whether a sample calls off those before it of a later stamp
 
 
+USUAL = 4 * IN_A_ROW
+"""Samples from which it is known what is usual between two streams."""
+
+SETTLED_NS = round(INDEPENDENT_TIME / NS)
+"""Time, ns, for which a clock has stepped before it is believed: messages pile up for less."""
+
+STEP_NS = round(STEP / NS)
+"""Step of a clock that is no jitter, ns: the inputs are another step late from then on."""
+
+
+class ClockSteps:
+    """Takes back the steps of a stream's stamps against those of the rates.
+
+    A clock that is set anew, by the network or an autopilot's time synchronisation, steps once. Its
+    stamps then leave out, or repeat, a time in which those of the rates went on as ever. What was
+    learned holds for the clocks as they were. A pause of either stream is none, nor is a message
+    that takes longer: then the stamps fit again as soon as the others have caught up.
+
+    Attributes
+    ----------
+    steps : list of int
+        Size of each step so far, ns.
+    """
+
+    def __init__(self) -> None:
+        self.steps: list[int] = []
+        # Of the last samples: stamps, and how far they were from the newest of the rates, ns
+        self._stamps: deque[int] = deque(maxlen=USUAL)
+        self._offsets: deque[int] = deque(maxlen=USUAL)
+        self._after: list[tuple[int, int]] = []  # both, since what may be a step
+
+    @property
+    def taken_back_ns(self) -> int:
+        """What is taken off the stamps by now, ns."""
+        return sum(self.steps)
+
+    def put_right(self, t_ns: int, newest_ns: int | None) -> int:
+        """Return the stamp of a sample as it would be had the clock not stepped, ns.
+
+        Parameters
+        ----------
+        t_ns : int
+            Its stamp, ns.
+        newest_ns : int or None
+            Newest stamp of the rates as it arrives, ns; None before any.
+        """
+        t_ns -= self.taken_back_ns
+        if newest_ns is None:
+            return t_ns
+        offset = t_ns - newest_ns
+        if self._after:
+            jitter = max(self._offsets) - min(self._offsets)
+            if abs(offset - self._after[0][1]) <= STEP_NS + jitter:
+                self._after.append((t_ns, offset))
+                return t_ns - self._judged()
+            self._count(self._after)
+        if self._leaves(t_ns, offset):
+            self._after = [(t_ns, offset)]
+        else:
+            self._count([(t_ns, offset)])
+        return t_ns
+
+    def _leaves(self, t_ns: int, offset: int) -> bool:
+        """Whether a stamp follows those before neither by its own stream nor by the rates.
+
+        After a pause of the stream nothing is said: what was late may have been lost, too.
+        """
+        if len(self._stamps) < USUAL:
+            return False
+        low, high = min(self._offsets) - STEP_NS, max(self._offsets) + STEP_NS
+        if low <= offset <= high:
+            return False
+        usual = float(np.median(np.diff(self._stamps)))
+        since = t_ns - self._stamps[-1]
+        by_rates = since - (offset - self._offsets[-1])
+        return abs(since - usual) > STEP_NS and by_rates - usual <= high - low
+
+    def _judged(self) -> int:
+        """Return the size of the step, ns, once it is sure that it is one; else 0."""
+        (first_ns, first), (last_ns, last) = self._after[0], self._after[-1]
+        offset = float(np.mean([offset for _, offset in self._after]))
+        size = round(offset - float(np.mean(self._offsets)))
+        passed_ns = (last_ns - last) - (first_ns - first)  # by the rates, which may be late, too
+        if len(self._after) < USUAL or passed_ns < max(abs(size), SETTLED_NS):
+            return 0
+        size = size if abs(size) > STEP_NS else 0
+        if size:
+            self.steps.append(size)
+        self._count([(t - size, offset - size) for t, offset in self._after])
+        return size
+
+    def _count(self, samples: list[tuple[int, int]]) -> None:
+        """Count samples among the usual ones."""
+        self._stamps.extend([t for t, _ in samples])
+        self._offsets.extend([offset for _, offset in samples])
+        self._after = []
+
+
 Sample = tuple[int, Sequence[float], Sequence[float]]
 
 
@@ -238,6 +336,8 @@ class Intake:
         What is wrong with the clocks, in a sentence; empty if nothing is.
     newest_ns : int or None
         Newest stamp of the rates, ns; None before any.
+    clock_steps : ClockSteps
+        How the clock of the actuators has stepped.
     last_tick_ns : int
         Time of the last tick that was due or run, ns.
     """
@@ -271,6 +371,7 @@ class Intake:
         self._outlying: list[Sample] = []
         self._held: list[Callable[[], object]] | None = None
         self._mismatches = 0
+        self.clock_steps = ClockSteps()
         self._due: deque[int] = deque()
         self._next_tick: int | None = None
         self.last_tick_ns = NO_TICK
@@ -356,6 +457,8 @@ class Intake:
         if self._held is not None:
             self._held.append(partial(self.add, name, t_ns, values, own))
             return None
+        if name == ACTUATORS:
+            t_ns = self.clock_steps.put_right(t_ns, self.newest_ns)
         stream, buffer = self._streams[name], self._buffers[name]
         problem = value_problem(values, stream.width, stream.largest) or self._stamp_problem(t_ns)
         if name == ACTUATORS:

@@ -178,7 +178,9 @@ class OfflineRun:
             if taken is not None:
                 self._keep_rates(*taken)
         elif feed.stream.name == ACTUATORS and taken is not None:
-            self._actuators.append(*taken, self.era)
+            t_ns, values = taken
+            t_ns -= self.identifier.intake.clock_steps.taken_back_ns
+            self._actuators.append(t_ns, values, self.era)
 
     def _keep_rates(self, t_ns: int, values: Any) -> None:
         jump_ns = round(self.inputs.settings.time_jump * 1e9)
