@@ -156,6 +156,26 @@ def test_no_row_is_usable_that_inputs_would_falsify_by_a_quarter(
     assert words in last.reason
 
 
+def test_inputs_that_come_seldom_are_held_too_long_and_a_line_mends_it() -> None:
+    """'Correct their stamps' was said of commands at 10 Hz, whose stamps were right."""
+    m = light_measured(50.0, delay=0.02)
+    fifth = slice(None, None, 5)
+    m = replace(
+        m,
+        actuators=m.actuators[fifth],
+        actuator_t_ns=m.actuator_t_ns[fifth],
+        actuator_log_ns=m.actuator_log_ns[fifth],
+    )
+    _, (*_, held) = identified(m)
+    assert "they come every 100 ms and are held until then: publish" in held.reason
+    identifier, (*_, joined) = identified(m, actuators__interpolation="linear")
+    assert "the inputs act" not in joined.reason
+    for name in ("pdot/da", "qdot/de"):
+        index = identifier.structure.index(name)
+        truth = {"pdot/da": 45.0, "qdot/de": -30.0}[name]
+        assert joined.coefficients[index] == pytest.approx(truth, rel=0.15)
+
+
 def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
     identifier = late()
     assert identifier.delay == pytest.approx(0.06, abs=0.005)

@@ -131,13 +131,21 @@ class DelayEstimate:
         wrong = self.rise >= DOUBTLESS and abs(off) > 2.0 * self.sigma
         return off if wrong else 0.0
 
-    def contradiction(self, delay: float) -> str:
-        """Return in words how a delay in use is off, s."""
+    def contradiction(self, delay: float, held: float = 0.0) -> str:
+        """Return in words how a delay in use is off, s.
+
+        Inputs that come seldom are `held` too long, s, and then seem to act early.
+        """
         off = self.off(delay)
         word = "later" if off > 0.0 else "earlier"
         cure = f"set 'actuators.delay' to {self.delay:.3f}"
         if self.delay < 0.0:
             cure = "correct their stamps, or lower 'actuators.time_constant'"
+        if off < 0.0 and -off <= held:
+            cure = (
+                f"they come every {2e3 * held:.0f} ms and are held until then: publish them more "
+                "often, or set 'actuators.interpolation' to 'linear'"
+            )
         return (
             f"the inputs act {1e3 * abs(off):.0f} ms {word} than 'actuators.delay' and "
             f"'actuators.time_constant' say: {cure}"

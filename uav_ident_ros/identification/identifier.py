@@ -606,6 +606,7 @@ class OnlineIdentifier:
             self.delays.lost,
             estimator.height,
             lag_is_told=self.lag > 0.0 or not self.settings.actuators.estimate_delay,
+            held=self.sampler.held_too_long,
         )
 
     @property

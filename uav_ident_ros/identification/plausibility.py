@@ -527,6 +527,7 @@ class SetupErrors:
         height: float,
         *,
         lag_is_told: bool,
+        held: Callable[[], float] = lambda: 0.0,
     ) -> None:
         """Look at what the flight shows by now.
 
@@ -545,12 +546,14 @@ class SetupErrors:
             Height of the accelerometer above where it is said to be, m; 0 for none.
         lag_is_told : bool
             Whether the lag in use is known, or a found delay may stand for another.
+        held : callable
+            Returns how much too long inputs are held that come seldom, s.
         """
         self._found = []
         if not self._structure.has_flow:
             return
         if estimate.off(delay):
-            self._found.append(self._delay_error(values, estimate, delay))
+            self._found.append(self._delay_error(values, estimate, delay, held()))
         elif estimate.sure and not lag_is_told:
             self._found.append(self._lag_error(values, estimate, delay, lost()))
         if height:
@@ -573,14 +576,16 @@ class SetupErrors:
                 reasons[row] = reasons[row] or found.reason
         return reasons
 
-    def _delay_error(self, values: FloatArray, estimate: DelayEstimate, delay: float) -> SetupError:
+    def _delay_error(
+        self, values: FloatArray, estimate: DelayEstimate, delay: float, held: float
+    ) -> SetupError:
         """Return what a delay in use, s, does that the flight shows to be off.
 
         Before an axis that settles with a, an input that comes T later than told looks like one of
         an effect of 1 / (1 + a T): to first order the row is off by ``a T``.
         """
         off = estimate.off(delay)
-        return SetupError(self._late(values, off), estimate.contradiction(delay))
+        return SetupError(self._late(values, off), estimate.contradiction(delay, held))
 
     def _lag_error(
         self, values: FloatArray, estimate: DelayEstimate, delay: float, lost: FloatArray

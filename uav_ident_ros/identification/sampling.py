@@ -326,6 +326,12 @@ class Sampler:
         self.raw_inputs.trim(needed - self._memory_ns)
         self.injected.trim(needed - self._memory_ns)
 
+    def held_too_long(self) -> float:
+        """Return by how much what is held until the next sample is too old on average, s."""
+        if self._linear or len(self.raw_inputs.t) < 2:
+            return 0.0
+        return 0.5 * NS * float(np.median(np.diff(self.raw_inputs.t)))
+
     @property
     def time_constant(self) -> float:
         """First-order lag of the servos, s; with another one a new stretch of blocks begins."""

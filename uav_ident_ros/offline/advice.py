@@ -140,8 +140,8 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
 
 def wrong_setup(e: Evidence) -> Iterator[str]:
     """Name the settings that widen sigma, but for a delay, of which the next piece tells."""
-    told = e.delay.contradiction(e.delay_in_use)
-    yield from dict.fromkeys(reason for reason in e.setup if reason and reason != told)
+    told, _, _ = e.delay.contradiction(e.delay_in_use).partition(": ")  # without the cure
+    yield from dict.fromkeys(r for r in e.setup if r and not r.startswith(told))
 
 
 def wrong_delay(e: Evidence) -> Iterator[str]:
