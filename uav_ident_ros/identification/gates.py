@@ -128,6 +128,7 @@ class Gates:
                 "ground",
                 "supervision.min_airspeed",
                 lambda look: grounded(look.settings, look.armed, look.airspeed),
+                unreadable=True,
             ),
             Gate("Imu", "supervision.max_rate, stuck_time", SensorGate().check, unreadable=True),
             Gate(
@@ -563,8 +564,8 @@ def grounded(settings: Settings, armed: bool | None, airspeed: float | None) -> 
     Parameters
     ----------
     settings : Settings
-        Whether there is a topic that tells of being armed, and the airspeed below which it does not
-        fly.
+        Whether there is a topic that tells of being armed, and the airspeeds below which it does
+        not fly, or below which the scaling with the airspeed is not believed.
     armed : bool or None
         Whether the motors are armed; None if nothing was heard of it.
     airspeed : float or None
@@ -575,4 +576,10 @@ def grounded(settings: Settings, armed: bool | None, airspeed: float | None) -> 
         return "not armed" if armed is not None else "no message says that it is armed"
     if airspeed is not None and airspeed < min_airspeed:
         return f"not flying: the airspeed is below {min_airspeed:g} m/s"
+    slow = settings.airspeed.reference / LARGEST_RATIO
+    if airspeed is not None and airspeed < slow:
+        return (
+            f"not flying: the airspeed is below {slow:.2g} m/s, a third of 'airspeed.reference'; "
+            "in flight look at the pitot tube, or set that to the speed flown"
+        )
     return ""

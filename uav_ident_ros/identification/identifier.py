@@ -306,8 +306,13 @@ class OnlineIdentifier:
             roll,
             pitch,
             airspeed=self._speed.newest,
-            grounded=grounded(self.settings, self.supervisor.armed, self._speed.newest),
+            grounded=self._grounded,
         )
+
+    @property
+    def _grounded(self) -> str:
+        """Why it does not fly; empty if there is no reason to think so."""
+        return grounded(self.settings, self.supervisor.armed, self._speed.newest)
 
     # -- samples in ------------------------------------------------------------------------
     #
@@ -573,7 +578,7 @@ class OnlineIdentifier:
             self._judge(t_ns * NS, coefficients, sigma)
         self._news = False
         state, reason = self._state(fed)
-        sound = state is not State.FAULT and not self.plausibility.doubted
+        sound = state is not State.FAULT and not self._grounded and not self.plausibility.doubted
         usable = self._verdict.rows if sound else (False, False, False)
         predicted, flow = self._frame.to_imu(self._parallel.model.state[:3]), self._parallel.flow
         newest = np.zeros(3) if self._newest_rates is None else self._newest_rates
