@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.identification.structure import INPUTS, ROWS, FloatArray
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.live import Live, Plan
@@ -67,7 +67,8 @@ class LightFlight(Plan):
     roll_gain: float = 0.2  # Aileron per rad of bank error; a tenth of it per rad/s of roll rate
     # Rolling part of the wind, rad/s per m/s: 2 / span for eddies as large as the wing
     roll_gust: float = 0.15
-    # From a time on, an input (``de`` and so on) has its effect multiplied
+    # From a time on, an input (``de`` and so on) has its effect multiplied, or all of a row
+    # (``pdot`` and so on), as by another inertia
     changes: tuple[CoefficientChange, ...] = ()
     speed: float = SPEED  # True airspeed in trim, m/s
     derivatives: Mapping[str, float] = field(default_factory=lambda: TRUTH)  # In trim, as `TRUTH`
@@ -109,9 +110,15 @@ def _effect_of(changes: Sequence[CoefficientChange], time: float) -> FloatArray:
     effect = np.ones(len(INPUTS))
     for change in changes:
         for name, factor in change.factors.items():
-            if change.time <= time + TIME_TOLERANCE:
+            if name in INPUTS and change.time <= time + TIME_TOLERANCE:
                 effect[INPUTS.index(name)] *= factor
     return effect
+
+
+def _moments_of(changes: Sequence[CoefficientChange], time: float) -> tuple[float, ...]:
+    """Moments about each axis at `time` (s), relative to the start."""
+    now = [change.factors for change in changes if change.time <= time + TIME_TOLERANCE]
+    return tuple(math.prod(factors.get(row, 1.0) for factors in now) for row in ROWS)
 
 
 class _LiveLight(Live):
@@ -133,10 +140,11 @@ class _LiveLight(Live):
         self._surface = surface
         effect = _effect_of(spec.changes, self.time) if spec.changes else 1.0
         u = (surface * effect).tolist()
-        slope, acceleration, force = _slope(spec, self.state, u, gust)
+        moments = _moments_of(spec.changes, self.time)
+        slope, acceleration, force = _slope(spec, self.state, u, gust, moments)
         row = (*self.state, *acceleration, *force, *surface)
         middle = tuple(x + 0.5 * h * dx for x, dx in zip(self.state, slope, strict=True))
-        slope, _, _ = _slope(spec, middle, u, gust)  # type: ignore[arg-type]
+        slope, _, _ = _slope(spec, middle, u, gust, moments)  # type: ignore[arg-type]
         self.state = tuple(x + h * dx for x, dx in zip(self.state, slope, strict=True))  # type: ignore[assignment]
         return row
 
@@ -171,7 +179,11 @@ def _autopilot(spec: LightFlight, state: State, t: float) -> FloatArray:
 
 
 def _slope(
-    spec: LightFlight, state: State, surfaces: Sequence[float], gust: Sequence[float]
+    spec: LightFlight,
+    state: State,
+    surfaces: Sequence[float],
+    gust: Sequence[float],
+    moments: Sequence[float],
 ) -> tuple[State, tuple[float, float, float], tuple[float, float, float]]:
     """Return the slope of the state, angular acceleration, rad/s^2, and specific force, m/s^2."""
     c = spec.derivatives
@@ -183,12 +195,12 @@ def _slope(
     p_air = p + gust[2]
     pdot = ratio * (c["pdot/p"] * p_air + c["pdot/r"] * r)
     pdot += pressure * (c["pdot/beta"] * beta + c["pdot/dr"] * dr + c["pdot/da"] * da)
-    pdot += 0.5 * dth + _QR * q * r
+    pdot = moments[0] * (pdot + 0.5 * dth) + _QR * q * r
     qdot = ratio * c["qdot/q"] * q + pressure * (c["qdot/alpha"] * alpha + c["qdot/de"] * de)
-    qdot += -dth + _PR * p * r
+    qdot = moments[1] * (qdot - dth) + _PR * p * r
     rdot = ratio * (c["rdot/p"] * p_air + c["rdot/r"] * r)
     rdot += pressure * (c["rdot/beta"] * beta + c["rdot/dr"] * dr + c["rdot/da"] * da)
-    rdot += -0.5 * dth + _PQ * p * q
+    rdot = moments[2] * (rdot - 0.5 * dth) + _PQ * p * q
     ax = pressure * (_AX_ALPHA * alpha - _DRAG) + _DRAG + _AX_THROTTLE * dth
     ay = pressure * (c["ay/beta"] * beta + c["ay/dr"] * dr)
     az = pressure * (c["az/alpha"] * alpha + c["az/de"] * de - GRAVITY)

@@ -25,7 +25,7 @@ from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import Plan
-from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
+from uav_ident_ros.simulation.noise import FRD_TO_FLU, Measurements, Sensors, measure
 
 EXCITED, CHANGED = 60.0, 75.0
 """When the excitation of the flights with old knowledge ends, and when the surface fails, s."""
@@ -82,7 +82,8 @@ def truth(flight: Flight, time: float) -> dict[str, float]:
     for change in flight.changes:
         if change.time <= time:
             for name in out:
-                out[name] *= change.factors.get(name.partition("/")[2], 1.0)
+                row, _, column = name.partition("/")
+                out[name] *= change.factors.get(column, 1.0) * change.factors.get(row, 1.0)
     return out
 
 
@@ -469,6 +470,86 @@ MISTAKES: Sequence[tuple[str, Spoil | None, dict[str, Any], str]] = (
 what has to be said of it."""
 
 
+CARRIED_TURN, CARRIED_SWAY = 0.2, 1.0
+"""By how much an aircraft turns, rad, and is shaken, m/s^2, while it is carried."""
+
+CARRIED_BAND = (0.15, 0.9)
+"""Frequencies of that, Hz: those of a walk."""
+
+
+def carried(seconds: float, seed: int, measured: Measurements) -> Measurements:
+    """Carry it to the launch first, its surfaces stabilised: they move, and nothing follows."""
+    rng, imu = np.random.default_rng([seed, 11]), measured.sensors
+    every = [np.diff(t)[0] for t in (measured.imu_t_ns, measured.actuator_t_ns)]
+    times = [np.arange(round(seconds * 1e9 / step)) * step * 1e-9 for step in every]
+    omega = 2.0 * np.pi * rng.uniform(*CARRIED_BAND, (4, 1, 6))
+    phase = rng.uniform(0.0, 2.0 * np.pi, omega.shape)
+    size = np.array([CARRIED_TURN] * 3 + [CARRIED_SWAY] * 3) / np.sqrt(2.0)
+    turned = [size * np.sin(omega * t[:, None] + phase).sum(axis=0) for t in times]
+    rates = [(size * omega * np.cos(omega * t[:, None] + phase)).sum(axis=0) for t in times]
+    tilt = np.column_stack([turned[0][:, 1], -turned[0][:, 0], -np.ones(len(times[0]))])
+    noise = rng.standard_normal((2, len(times[0]), 3))
+    gyro = rates[0][:, :3] + imu.gyro_noise * noise[0]
+    force = GRAVITY * tilt + turned[0][:, 3:] + imu.accelerometer_noise * noise[1]
+    (roll, pitch, _), (p, q, r) = turned[1][:, :3].T, rates[1][:, :3].T
+    answer = [0.3 * pitch + 0.05 * q, 0.1 * r, -0.3 * roll - 0.03 * p, 0.0 * p]
+    channels = measured.flight.channel_trim + np.column_stack(answer)
+
+    def before(values: FloatArray, more: FloatArray) -> FloatArray:
+        return np.concatenate([values, more])
+
+    imu_t_ns = measured.imu_t_ns[0] + every[0] * np.arange(len(gyro) + len(measured.rates))
+    actuators = before(channels, measured.actuators)
+    actuator_t_ns = measured.actuator_t_ns[0] + every[1] * np.arange(len(actuators))
+    return replace(
+        measured,
+        rates=before(gyro * FRD_TO_FLU, measured.rates),
+        specific_force=before(force * FRD_TO_FLU, measured.specific_force),
+        actuators=actuators,
+        imu_t_ns=imu_t_ns, imu_log_ns=imu_t_ns, true_t_ns=imu_t_ns,
+        actuator_t_ns=actuator_t_ns, actuator_log_ns=actuator_t_ns,
+    )  # fmt: skip
+
+
+def _launched(seed: int, length: float) -> Iterator[Trial]:
+    """Carried to the launch with the node running, then excited; nobody tells when it flies."""
+    for aircraft, wind in (("light_aircraft", 0.3), ("ultra_stick_25e", 1)):
+        for seconds in (20.0, 60.0):
+            flight = {"bank": 20.0, "wind": wind, "duration": length * 150.0 - seconds, **ALWAYS}
+            words = f"carried for {seconds:g} s"
+            spoil = partial(carried, seconds, seed)
+            yield _trial("launched", seed, aircraft, words, {}, spoil=spoil, **flight)
+
+
+def _pitot(reads: float, until: float, measured: Measurements) -> Measurements:
+    """Let the pitot tube read another share of the airspeed for some time, from `GLITCH_TIME`."""
+    time = (measured.airspeed_t_ns - measured.imu_t_ns[0]) * 1e-9
+    wrong = (time >= GLITCH_TIME) & (time < until)
+    return replace(measured, airspeed=np.where(wrong, reads, 1.0) * measured.airspeed)
+
+
+def _blocked(seed: int, length: float) -> Iterator[Trial]:
+    """Excited, with an airspeed; the pitot tube blocks, for ten seconds or for good."""
+    sensors = replace(SENSORS, airspeed_noise=0.5)
+    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 2)):
+        for reads, until in ((0.0, GLITCH_TIME + 10.0), (0.0, 1e3), (0.5, 1e3)):
+            words = f"reads {reads:g} of the airspeed" + (", for good" if until == 1e3 else "")
+            flight = {"bank": 20.0, "wind": wind, "duration": length * 130.0, **ALWAYS}
+            more = {"sensors": sensors, "spoil": partial(_pitot, reads, until)}
+            yield _trial("blocked", seed, aircraft, words, {}, **flight, **more)
+
+
+def _loaded(seed: int, length: float) -> Iterator[Trial]:
+    """Excited; a load is dropped or taken up, and the whole row changes with the inertia."""
+    for rows, factor in (
+        ("pdot qdot rdot", 0.7), ("pdot qdot rdot", 1.4), ("pdot", 0.6), ("qdot", 0.5),
+    ):  # fmt: skip
+        changes = (CoefficientChange(length * CHANGED, dict.fromkeys(rows.split(), factor)),)
+        flight = {"bank": 20.0, "wind": 0.3, "duration": length * 130.0, **ALWAYS}
+        words = f"{rows} x {factor:g}"
+        yield _trial("loaded", seed, "light_aircraft", words, {}, changes=changes, **flight)
+
+
 def _mistakes(seed: int, length: float) -> Iterator[Trial]:
     """Excited flights with one mistake each."""
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 0)):
@@ -501,6 +582,9 @@ CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
     "random": _random,
     "closed_loop": _closed_loop,
     "told_wrong": _told_wrong,
+    "launched": _launched,
+    "blocked": _blocked,
+    "loaded": _loaded,
     "mistakes": _mistakes,
     "recorded": _recorded,
 }

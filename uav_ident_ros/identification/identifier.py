@@ -18,6 +18,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
+from uav_ident_ros.identification.fresh_start import FreshStart, known_inputs
 from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, SpikeFilter, grounded
 from uav_ident_ros.identification.parallel_model import (
     ParallelModel,
@@ -57,7 +58,7 @@ from uav_ident_ros.identification.scales import (
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
-from uav_ident_ros.identification.supervision import State, Supervisor
+from uav_ident_ros.identification.supervision import JUDGED_FROM, State, Supervisor
 
 STRETCH_TIME = 4.0 * SAMPLE_TIME
 """Time that is learned from at once, s: the cost of an update hardly depends on how many samples it
@@ -130,6 +131,7 @@ class OnlineIdentifier:
         self._armed = SampleBuffer(1)
         self.intake = Intake(settings, self.restart)
         self.supervisor = Supervisor(settings, self.structure, gates)
+        self._fresh: FreshStart | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -191,6 +193,7 @@ class OnlineIdentifier:
             self._make_signals_anew({setting.name for setting in changed})
         else:
             self.estimator.reconfigure(settings)
+            self._fresh = None
         self._news = True
 
     def _begin(self, start: Start, delay: float, lag: float) -> None:
@@ -220,6 +223,7 @@ class OnlineIdentifier:
         self._noise = NoiseModel(self._layout.rows)
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = self.idle = 0.0
+        self._fresh = None
         self.restart()
 
     def _is_warm(self) -> bool:
@@ -295,6 +299,7 @@ class OnlineIdentifier:
         if (self.delay, self.lag) != before:
             self.estimator.forget(min(INDEPENDENT_TIME / self._learned_time, 1.0))
             self._learned_time = 0.0
+            self._fresh = None
 
     def flying(self) -> Flying:
         """Return what is known of the flight, as of the last tick."""
@@ -503,6 +508,35 @@ class OnlineIdentifier:
         supervisor.confirmed.add(white, effect, self._noise.variance, max_age)
         estimator.update(samples, rows, white, weight)
         supervisor.follow(t, estimator, ticks)
+        self._begin_anew_beside(samples)
+
+    def _begin_anew_beside(self, samples: Regression) -> None:
+        """While a cold start has come to nothing, see whether the newest time alone tells more."""
+        needless = self._warm or self._as_paper or self.supervisor.proven
+        if needless or known_inputs(self.estimator).all():
+            self._fresh = None
+            return
+        fresh = self._fresh or FreshStart(self._cold_estimator, self._layout)
+        if fresh.estimator is self.estimator:  # one's own, which there is once
+            return
+        self._fresh = fresh
+        fresh.add(samples)
+        if fresh.time < JUDGED_FROM:
+            return
+        if fresh.tells_more(self.estimator, self.settings.supervision.min_t_ratio):
+            # All that was drawn from the time before was drawn from another aircraft.
+            self.estimator, self._noise = fresh.estimator, fresh.noise
+            self._learned_time = fresh.time
+            self.delays = DelayBank(self.settings.actuators.longest_delay, self.lag)
+            self.running_fit.forget()
+            self.supervisor.reset()
+        self._fresh = None
+
+    def _cold_estimator(self) -> Estimator:
+        """Return an estimator that has learned nothing yet."""
+        blind = self._has_accelerometer is False
+        start = without_flow(self._start, self.structure) if blind else self._start
+        return self._make_estimator(self.settings, start)
 
     def _look_for_accelerometer(self, block: Block) -> None:
         """Leave out the flow angles while nothing tells of them."""
@@ -516,6 +550,7 @@ class OnlineIdentifier:
             self._stretches = Stretches()
             self.estimator = self._make_estimator(self.settings, self._start)
             self._learned_time = 0.0
+            self._fresh = None
 
     def _coefficients(self) -> FloatArray:
         """Coefficients at the airspeed flown, shape (R, n)."""

@@ -158,6 +158,11 @@ class Supervisor:
         return weight
 
     @property
+    def proven(self) -> bool:
+        """Whether all rows have been usable since the start."""
+        return self._proven
+
+    @property
     def learning(self) -> BoolArray:
         """Rows that learn, shape (3,)."""
         return self._learned & (not self.gates.closed)

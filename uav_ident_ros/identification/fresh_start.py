@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A start that begins anew beside one that comes to nothing.
+
+An aircraft that taxies, or is carried to its launch, moves its surfaces and does not follow them. A
+cold start that has learned this holds it against the flight for minutes. Nobody need have told when
+it flies: the newest half minute alone then tells more than all of the time, which it never does
+while one aircraft is flown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from uav_ident_ros.identification.estimators import Estimator
+from uav_ident_ros.identification.regression import Layout, Regression, RowSamples
+from uav_ident_ros.identification.residuals import NoiseModel
+from uav_ident_ros.identification.scales import SURE
+from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, ROWS, BoolArray
+
+
+class FreshStart:
+    """An estimator that learns from now on, beside the one in use.
+
+    Parameters
+    ----------
+    make : callable
+        Makes an estimator that knows no more than a cold start does.
+    layout : Layout
+        Its regression problem.
+
+    Attributes
+    ----------
+    estimator : Estimator
+        What the samples since then have told.
+    noise : NoiseModel
+        The noise that they have shown.
+    time : float
+        Time of learning, s.
+    """
+
+    def __init__(self, make: Callable[[], Estimator], layout: Layout) -> None:
+        self._layout = layout
+        self.estimator, self.noise, self.time = make(), NoiseModel(layout.rows), 0.0
+
+    def add(self, samples: Regression) -> None:
+        """Learn from samples."""
+        rows = RowSamples.of(samples, self.estimator.residual(samples), self._layout)
+        white = self.noise.whiten(rows, restarted=samples.restarted)
+        self.estimator.update(samples, rows, white, np.ones(len(ROWS)))
+        self.time += samples.time
+
+    def tells_more(self, used: Estimator, t_ratio: float) -> bool:
+        """Return whether it knows all main control derivatives that `used` knows, and another.
+
+        Known is to `t_ratio` sigma what is gained, and to `SURE` what would be lost.
+        """
+        gained, before = known_inputs(self.estimator, t_ratio), known_inputs(used, SURE)
+        return bool((gained & ~before).any() and not (before & ~gained).any())
+
+
+def known_inputs(estimator: Estimator, t_ratio: float = SURE) -> BoolArray:
+    """Return which main control derivatives are known to so many sigma, (3,)."""
+    value, sigma = estimator.coefficients[MAIN_DERIVATIVES], estimator.sigma[MAIN_DERIVATIVES]
+    return np.asarray((sigma > 0.0) & (np.abs(value) >= t_ratio * sigma))
