@@ -515,7 +515,7 @@ def _launched(seed: int, length: float) -> Iterator[Trial]:
     """Carried to the launch with the node running, then excited; nobody tells when it flies."""
     for aircraft, wind in (("light_aircraft", 0.3), ("ultra_stick_25e", 1)):
         for seconds in (20.0, 60.0):
-            flight = {"bank": 20.0, "wind": wind, "duration": length * 150.0 - seconds, **ALWAYS}
+            flight = {"bank": 20.0, "wind": wind, "duration": length * 150.0, **ALWAYS}
             words = f"carried for {seconds:g} s"
             spoil = partial(carried, seconds, seed)
             yield _trial("launched", seed, aircraft, words, {}, spoil=spoil, **flight)
