@@ -28,7 +28,7 @@ from uav_ident_ros.identification.scales import (
     SURE,
 )
 from uav_ident_ros.identification.settings import ActuatorSettings, Settings
-from uav_ident_ros.identification.speed import LARGEST_RATIO
+from uav_ident_ros.identification.speed import slowest
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
 NOISE_SWING = 2.0 * DOUBTLESS
@@ -468,7 +468,7 @@ class RestGate:
         if len(means):
             self._looked = t
             what = _still(means, settings.min_motion, settings.min_force_motion)
-            slow = look.settings.airspeed.reference / LARGEST_RATIO
+            slow = slowest(look.settings.airspeed)
             flies = look.airspeed is not None and look.airspeed > slow
             self._reason = what and f"{'too quiet' if flies else 'at rest'}: {what}"
         return self._reason
@@ -576,7 +576,7 @@ def grounded(settings: Settings, armed: bool | None, airspeed: float | None) -> 
         return "not armed" if armed is not None else "no message says that it is armed"
     if airspeed is not None and airspeed < min_airspeed:
         return f"not flying: the airspeed is below {min_airspeed:g} m/s"
-    slow = settings.airspeed.reference / LARGEST_RATIO
+    slow = slowest(settings.airspeed)
     if airspeed is not None and airspeed < slow:
         return (
             f"not flying: the airspeed is below {slow:.2g} m/s, a third of 'airspeed.reference'; "

@@ -56,7 +56,7 @@ from uav_ident_ros.identification.scales import (
     START_TIME,
 )
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
-from uav_ident_ros.identification.speed import SpeedScaling
+from uav_ident_ros.identification.speed import SpeedScaling, slowest
 from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
 from uav_ident_ros.identification.supervision import JUDGED_FROM, State, Supervisor
 
@@ -311,13 +311,14 @@ class OnlineIdentifier:
             roll,
             pitch,
             airspeed=self._speed.newest,
-            grounded=self._grounded,
+            grounded=grounded(self.settings, self.supervisor.armed, self._speed.newest),
         )
 
     @property
-    def _grounded(self) -> str:
-        """Why it does not fly; empty if there is no reason to think so."""
-        return grounded(self.settings, self.supervisor.armed, self._speed.newest)
+    def speed_believed(self) -> bool:
+        """Whether coefficients hold at the airspeed: none that is measured is too low for that."""
+        newest = self._speed.newest
+        return newest is None or newest >= slowest(self.settings.airspeed)
 
     # -- samples in ------------------------------------------------------------------------
     #
@@ -534,8 +535,9 @@ class OnlineIdentifier:
 
     def _cold_estimator(self) -> Estimator:
         """Return an estimator that has learned nothing yet."""
-        blind = self._has_accelerometer is False
-        start = without_flow(self._start, self.structure) if blind else self._start
+        start = self._start.doubted(self.structure)
+        if self._has_accelerometer is False:
+            start = without_flow(start, self.structure)
         return self._make_estimator(self.settings, start)
 
     def _look_for_accelerometer(self, block: Block) -> None:
@@ -613,7 +615,7 @@ class OnlineIdentifier:
             self._judge(t_ns * NS, coefficients, sigma)
         self._news = False
         state, reason = self._state(fed)
-        sound = state is not State.FAULT and not self._grounded and not self.plausibility.doubted
+        sound = state is not State.FAULT and self.speed_believed and not self.plausibility.doubted
         usable = self._verdict.rows if sound else (False, False, False)
         predicted, flow = self._frame.to_imu(self._parallel.model.state[:3]), self._parallel.flow
         newest = np.zeros(3) if self._newest_rates is None else self._newest_rates

@@ -461,8 +461,9 @@ class SupervisionSettings:
         "Swing of the specific forces over 2 s below which the aircraft may be at rest; 0 for "
         "never. Set it, to 0.3 or so, if a vehicle on the ground turns its sensor.")
     min_airspeed: float = _setting(0.0, "m/s", (0.0, 400.0), read_only=False, text=
-        "Airspeed below which learning pauses and nothing is usable, if it is measured. Below a "
-        "third of `airspeed.reference` both hold anyway. Set it somewhat below the stall speed.")
+        "Airspeed below which learning pauses, if it is measured. Below a third of "
+        "`airspeed.reference` it pauses anyway, and nothing is usable. Set it somewhat below the "
+        "stall speed.")
     max_rate: float = _setting(34.9, "rad/s", (0.0, 100.0), read_only=False, text=
         "Range of the gyro: learning pauses where a rate reaches it; 0 for none. 34.9 is 2000 "
         "deg/s; see the sensor's data sheet.")

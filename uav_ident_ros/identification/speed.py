@@ -29,6 +29,11 @@ LARGEST_RATIO = 3.0
 below it flow separates, above it something else is wrong."""
 
 
+def slowest(settings: AirspeedSettings) -> float:
+    """Return the airspeed, m/s, below which the law is not believed."""
+    return settings.reference / LARGEST_RATIO
+
+
 def unmeasured(settings: Settings) -> str:
     """Return what is wrong where nobody has told how fast the aircraft flies; empty if one has."""
     airspeed, default = settings.airspeed, AirspeedSettings().reference

@@ -196,7 +196,7 @@ class OfflineRun:
     def _tick(self) -> None:
         identifier = self.identifier
         for estimate in identifier.advance():
-            if identifier.idle == 0.0:
+            if identifier.idle == 0.0 and identifier.speed_believed:
                 self._learned = len(self.estimates)
             self.estimates.append(estimate)
             context = (self.era, identifier.delay, identifier.lag)
