@@ -273,6 +273,24 @@ def test_the_verdict_of_a_flight_outlasts_its_landing(tmp_path: Path, capsys: Ca
     assert "as of 36.0 s: nothing was learned after" in capsys.readouterr().out
 
 
+def test_the_verdict_of_a_flight_outlasts_the_airspeed_of_its_landing(tmp_path: Path) -> None:
+    landing_ns, number = excerpts.START_NS + 36 * excerpts.SECOND_NS, "std_msgs/msg/Float64"
+
+    def landed(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
+        airspeed = 20.0 if at < landing_ns else 2.0
+        return [(topic, at, message), ("/airspeed", at, plain(number, airspeed))]
+
+    params = excerpts.parameter_file(
+        tmp_path / "params.yaml", **excerpts.parameters(airspeed__type=number)
+    )
+    bag_path, output = excerpts.excerpt(tmp_path / "bag", 39.0, change=landed), tmp_path / "out"
+    assert excerpts.replay(bag_path, output, by=params) == USABLE
+    summary = excerpts.summary(output)
+    assert summary["state"] == "paused"
+    # four ticks are learned from at once
+    assert summary["judged_ns"] == pytest.approx(landing_ns, abs=excerpts.SECOND_NS // 4)
+
+
 def test_a_fault_at_the_end_is_what_counts(tmp_path: Path) -> None:
     end_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
 
