@@ -22,7 +22,8 @@ HELP = {
 }
 """Options that several programs have, in words."""
 
-Job, Result = TypeVar("Job"), TypeVar("Result")
+Job = TypeVar("Job")
+Result = TypeVar("Result")
 
 
 def parser(text: str | None, **options: Any) -> argparse.ArgumentParser:

@@ -20,7 +20,7 @@ import padasip
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.regression import Regression, RowSamples
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray, Structure
 from uav_ident_ros.simulation.flight import Flight
 
 IV, LS = "instrumental_variable", "least_squares"
@@ -28,7 +28,7 @@ EXCITATION_START = 2.0
 """When the multisines of every flight here begin, s."""
 
 WIDEST = "augmented"
-"""The default structure, which holds all others."""
+"""A structure that holds those of all plants here."""
 
 Result = dict[str, Any]
 Job = tuple[Any, ...]
@@ -61,7 +61,7 @@ def _groups(results: Sequence[Result], *keys: str) -> Iterator[tuple[str, list[R
     yield from groups.items()
 
 
-def _index(structure: Structure, names: Sequence[str]) -> tuple[FloatArray, ...]:
+def _index(structure: Structure, names: Sequence[str]) -> tuple[Any, ...]:
     return tuple(np.transpose([structure.index(name) for name in names]))
 
 
@@ -201,7 +201,7 @@ def _coverage_line(group: Sequence[Result]) -> str:
     )
 
 
-def _percent(flags: FloatArray) -> str:
+def _percent(flags: BoolArray) -> str:
     """Share of the flags, with the standard error over flights."""
     per_flight = 100.0 * flags.mean(axis=1)
     error = per_flight.std() / np.sqrt(len(per_flight))

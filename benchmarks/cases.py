@@ -14,7 +14,6 @@ from bench import ROOT
 from numpy.typing import NDArray
 
 from uav_ident_ros.bags.reading import Bag
-from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prediction import (
@@ -212,7 +211,8 @@ class Track:
         return int(np.searchsorted(self.time, time + 1e-6, side="right")) - 1
 
 
-EstimatorFactory = Callable[[Structure, Settings], Estimator]
+EstimatorFactory = Callable[[Structure, Settings], Any]
+"""Makes what stands in an estimator's place: of its members only those that a flight asks for."""
 
 
 def identify(

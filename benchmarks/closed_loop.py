@@ -170,7 +170,7 @@ def latency(_: int) -> dict[str, Any]:
         )
         ages: dict[str, list[float]] = {}
         dropped: dict[str, str] = {}
-        fly(loop, lambda running, ages=ages, dropped=dropped: listen(running, ages, dropped))
+        fly(loop, partial(listen, ages=ages, dropped=dropped))
         found: dict[str, Any] = {
             topic: {
                 **{f"p{q}": float(np.percentile(values, q)) for q in (50, 99)},

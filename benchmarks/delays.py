@@ -97,9 +97,9 @@ def plant(
 
 def light(seed: int, delay: float, lag: float, gusts: float, **more: Any) -> Measurements:
     """Fly the light aircraft on its autopilot, which turns."""
-    flown = {"excitation": ((2.0, DURATION),), "duration": DURATION, "bank": 20.0} | more
+    flown: dict[str, Any] = {"excitation": ((2.0, DURATION),), "duration": DURATION, "bank": 20.0}
     return verdict_flights._fly(
-        "light_aircraft", seed, wind=gusts, delay=delay, time_constant=lag, **flown
+        "light_aircraft", seed, wind=gusts, delay=delay, time_constant=lag, **(flown | more)
     )
 
 

@@ -94,9 +94,12 @@ class Flight:
     def __init__(
         self, severity: int, seed: int, name: str = AIRCRAFT, *, untold: bool = False
     ) -> None:
-        identified, guided, controlled = (
-            load_parameters(CONFIG / f"{name}.yaml", node)
-            for node in ("identifier", "rate_reference", "controller")
+
+        def parameters(node: str) -> dict[str, Any]:
+            return load_parameters(CONFIG / f"{name}.yaml", node)
+
+        identified, guided, controlled = map(
+            parameters, ("identifier", "rate_reference", "controller")
         )
         identified |= {
             "excitation.lead": LEAD, "excitation.duration": LONGEST, "imu.convention": "frd"

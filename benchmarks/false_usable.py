@@ -113,17 +113,20 @@ def judge(value: FloatArray, spread: FloatArray, truth: FloatArray) -> tuple[Any
 def run(trial: Trial, structure_name: str) -> Outcome:
     """Fly one trial, identify it as the node would, and judge what came out."""
     flown = trial.fly()
-    recorded = isinstance(flown, cases.Case)
-    case = flown if recorded else cases.measured(flown, trial.name, trial.seed)
+    case = flown if isinstance(flown, cases.Case) else cases.measured(flown, trial.name, trial.seed)
+    flight = case.flight  # None of a recorded one: no truth is known
     named = {"structure": structure_name} if structure_name else {}
     settings = case.settings({**named, **trial.settings})
     structure = STRUCTURES[settings.structure]
     initial = None
     if trial.warm:
-        healthy = verdict_flights.truth(flown.flight, -1.0)
+        assert flight is not None
+        healthy = verdict_flights.truth(flight, -1.0)
         initial = verdict_flights.warm_start(structure, healthy, trial.warm)
     losing: Any = False
+    estimates: Sequence[Estimate]
     if trial.replayed:
+        assert isinstance(flown, Measurements)
         estimates = _replay(flown, named, initial)
     else:
         identifier = OnlineIdentifier(settings, initial)
@@ -137,12 +140,12 @@ def run(trial: Trial, structure_name: str) -> Outcome:
     sigma = np.array([e.sigma for e in estimates])
     usable = np.array([e.usable_rows for e in estimates], dtype=bool)
     reasons = [e.reason for e in estimates]
-    true = [] if recorded else [verdict_flights.truth(flown.flight, t) for t in time]
+    true = [] if flight is None else [verdict_flights.truth(flight, t) for t in time]
     wrong = np.zeros(len(time), dtype=bool)
     wrong_sign = wrong.copy()
     last = {}
     for row, name in enumerate(MAIN):
-        if recorded:
+        if flight is None:
             i, j = structure.index(name)
             last[name] = (float(values[-1, i, j]), float(sigma[-1, i, j]), float("nan"))
             continue

@@ -165,7 +165,8 @@ class Oracle:
     def __init__(
         self, prepared: Prepared, case: Case, when: float, make: Make, source: CoefficientSource
     ) -> None:
-        nominal, flow = nominal_of(prepared), FlowState(*np.zeros(6), prepared.airframe.speed)
+        nominal, speed = nominal_of(prepared), prepared.airframe.speed
+        flow = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.0, pitch=0.0, airspeed=speed)
         self._source, self._controller = source, make(source)
         self._before = replace(nominal, sigma=np.zeros_like(nominal.sigma), flow=flow)
         values, (surfaces, axis) = nominal.values.copy(), case.reduced or ((1.0, 1.0, 1.0), 1.0)
@@ -287,7 +288,7 @@ def recovered(flight: dict[str, Any], healthy: dict[str, Any]) -> float | None:
 
 def relative(flight: dict[str, Any], healthy: dict[str, Any], key: str) -> FloatArray:
     """Errors of a flight over those of the healthy one at the same time, shape (n, 3)."""
-    return np.array(flight[key][0], float) / np.array(healthy[key][flight["k"]], float)
+    return np.asarray(np.array(flight[key][0], float) / np.array(healthy[key][flight["k"]], float))
 
 
 class Fleet:

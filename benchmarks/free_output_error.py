@@ -53,7 +53,7 @@ def windows(case: cases.Case, track: cases.Track) -> Windows:
     """Cut the training part of a flight into windows."""
     assert track.flow is not None
     last = TRAINING_PART * track.time[-1]
-    x, u, start, airspeed = [], [], [], []
+    rates, inputs, start, airspeed = [], [], [], []
     wanted = SETTLED
     blocks = case.blocks(track.settings)
     m = round(HORIZON / blocks[0].h)
@@ -63,13 +63,13 @@ def windows(case: cases.Case, track: cases.Track) -> Windows:
         for block in blocks:
             i = int(np.searchsorted(block.t_ns, track.t_ns[k]))
             if block.t_ns[0] <= track.t_ns[k] and i + m < len(block.t_ns):
-                x.append(block.x[i : i + m + 1])
-                u.append(block.u[i : i + m])
+                rates.append(block.x[i : i + m + 1])
+                inputs.append(block.u[i : i + m])
                 start.append(np.concatenate((block.x[i], track.flow[k, :-1])))
                 airspeed.append(track.flow[k, -1])
                 wanted = time + APART
-    joined = (np.array(part).transpose(1, 2, 0) for part in (x, u))
-    return Windows(blocks[0].h, *joined, np.array(start).T, np.array(airspeed))
+    x, u = (np.array(part).transpose(1, 2, 0) for part in (rates, inputs))
+    return Windows(blocks[0].h, x, u, np.array(start).T, np.array(airspeed))
 
 
 def predicted(a: FloatArray, flown: Windows) -> FloatArray:

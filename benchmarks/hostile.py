@@ -5,6 +5,7 @@ import math
 import random
 import struct
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 SECOND_NS = 1_000_000_000
@@ -105,10 +106,10 @@ def leaves(message: Any) -> Iterator[Callable[[float], None]]:
     for name, type_name in message.get_fields_and_field_types().items():
         value = getattr(message, name)
         if type_name in ("double", "float"):
-            yield lambda x, name=name: setattr(message, name, x)
+            yield partial(setattr, message, name)
         elif type_name.startswith(("double[", "sequence<double", "sequence<float")):
             for i in range(len(value)):
-                yield lambda x, value=value, i=i: value.__setitem__(i, x)
+                yield partial(value.__setitem__, i)
         elif hasattr(value, "get_fields_and_field_types"):
             yield from leaves(value)
 

@@ -19,7 +19,12 @@ from uav_ident_ros.identification.model import bounded, integrate, rates_derivat
 from uav_ident_ros.identification.prior import PRODUCT_SIGMA, start_from
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, PRODUCT_COLUMNS, FloatArray
+from uav_ident_ros.identification.structure import (
+    INPUT_COLUMNS,
+    PRODUCT_COLUMNS,
+    BoolArray,
+    FloatArray,
+)
 
 WINDOW = 1.0
 """Length of a shooting window, s."""
@@ -81,18 +86,19 @@ def simulate(
     return bounded(np.array(out))
 
 
-def _drive(a: FloatArray, windows: Windows, k: int) -> list[FloatArray]:
+def _drive(a: FloatArray, windows: Windows, k: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return A f without the rates, at the start, middle and end of cell k: (3, P, W) each."""
     columns = a[:, INPUT_COLUMNS.start :]
     base = sum(columns[:, j] * windows.u[k, j] for j in range(4))
     if columns.shape[1] == 4:
-        return [base, base, base]
+        return base, base, base
     base = base + columns[:, 4]
     left, right = windows.force[k], windows.force[k + 1]
-    return [
+    first, middle, last = (
         base + columns[:, 5] * f[0] + columns[:, 6] * f[1]
         for f in (left, 0.5 * (left + right), right)
-    ]
+    )
+    return first, middle, last
 
 
 class Problem:
@@ -100,7 +106,7 @@ class Problem:
 
     def __init__(
         self,
-        free: FloatArray,  # (3, n) Coefficients to fit; the others stay zero
+        free: BoolArray,  # (3, n) Coefficients to fit; the others stay zero
         windows: Windows,  # The record
     ) -> None:
         self.free, self.windows = free, windows
@@ -139,7 +145,7 @@ class Problem:
         residual, slopes = self._weighted(path)
         q, r = np.linalg.qr(slopes)
         step = np.linalg.solve(r, q.transpose(0, 2, 1) @ residual[:, :, None])[:, :, 0]
-        return self.x0 - step.T
+        return np.asarray(self.x0 - step.T)
 
     def _perturbed(self, x0: FloatArray) -> FloatArray:
         """Return the initial states, then each rate moved in turn, (3, 4, W)."""

@@ -14,6 +14,7 @@ import cases
 import numpy as np
 import random_flights
 from light_aircraft import LightFlight
+from numpy.typing import ArrayLike
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.model import GRAVITY
@@ -286,8 +287,8 @@ def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
               ("Imu 15 cm below the centre of gravity", {"imu.lever_arm": [0.0, 0.0, 0.0]},
                {"sensors": replace(SENSORS, lever_arm=(0.0, 0.0, 0.15))}))),
     ):  # fmt: skip
-        fields, flight = {"settings": settings}, {**flight, **ALWAYS, "duration": length * 110.0}
-        yield _trial("unmodelled", seed, aircraft, words, fields, **flight)
+        flown: dict[str, Any] = {**flight, **ALWAYS, "duration": length * 110.0}
+        yield _trial("unmodelled", seed, aircraft, words, {"settings": settings}, **flown)
 
 
 def _untold(seed: int, length: float) -> Iterator[Trial]:
@@ -409,7 +410,7 @@ def _told_wrong(seed: int, length: float) -> Iterator[Trial]:
             yield _trial("told_wrong", seed, aircraft, words, fields, **flight)
 
 
-def _turned(matrix: Sequence[Sequence[float]], measured: Measurements) -> Measurements:
+def _turned(matrix: ArrayLike, measured: Measurements) -> Measurements:
     """Mount the Imu otherwise: what it measures in the axes that `matrix` gives it."""
     turn = np.array(matrix)
     return replace(

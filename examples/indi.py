@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3Stamped
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
@@ -19,6 +20,8 @@ from uav_ident_ros.control import AxisChoice, Effectiveness, IncrementalLaw, Res
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 LIMITS = np.array([[-0.4, -0.25, -0.25, 0.0], [0.4, 0.25, 0.25, 0.0]])  # de dr da dth, from trim
 DELAY_NS = 20_000_000  # from a sample to the surface that its command moves
+
+Vector = NDArray[np.float64]
 
 
 class Indi(Node):
@@ -33,7 +36,7 @@ class Indi(Node):
         self.law = IncrementalLaw(LIMITS, self.choice.scale)
         self.response = Response()  # what the inputs are answered with
         self.measured = Effectiveness()  # turns and rescales an axis that answers otherwise
-        self.sent: History[tuple[np.ndarray, np.ndarray]] = History()  # inputs and reference
+        self.sent: History[tuple[Vector, Vector]] = History()  # inputs and reference
         self.reference = np.zeros(3)
         self.last_ns = 0
         self.publisher = self.create_publisher(JointState, "command", 10)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3Stamped
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
@@ -32,7 +33,7 @@ class Inversion(Node):
         self.source = CoefficientSource(Fallback.LAST_GOOD, nominal)
         subscribe(self, self.source)
         self.law = InversionLaw(LIMITS, authority(control_derivatives(nominal)[0], LIMITS))
-        self.sent: History[np.ndarray] = History()
+        self.sent: History[NDArray[np.float64]] = History()
         self.reference = np.zeros(3)
         self.last_ns = 0
         self.publisher = self.create_publisher(JointState, "command", 10)

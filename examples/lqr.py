@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3Stamped
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
@@ -22,8 +23,10 @@ STATE_WEIGHT = np.diag([1.0, 1.0, 1.0]) / 0.1**2  # an error of 0.1 rad/s is wor
 INPUT_WEIGHT = np.diag(1.0 / (0.3 * LARGEST) ** 2)  # ... a third of the travel
 STEP = 0.02  # s
 
+Matrix = NDArray[np.float64]
 
-def lqr_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+
+def lqr_gain(a: Matrix, b: Matrix, q: Matrix, r: Matrix) -> Matrix:
     """Return K of ``u = -K x`` that minimises the integral of ``x'Qx + u'Ru``, sampled.
 
     The Riccati equation of the model sampled every `STEP`, by iteration from Q.
@@ -32,8 +35,8 @@ def lqr_gain(a: np.ndarray, b: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.n
     generator = np.zeros((n + m, n + m))
     generator[:n, :n], generator[:n, n:] = a, b
     term = transition = np.eye(n + m)
-    for k in range(1, 20):  # the exponential's series
-        term = term @ generator * (STEP / k)
+    for order in range(1, 20):  # the exponential's series
+        term = term @ generator * (STEP / order)
         transition = transition + term
     f, g = transition[:n, :n], transition[:n, n:]
     p = q * STEP

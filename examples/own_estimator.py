@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,8 @@ class Gentle(RecursiveRegression):
 def main(bag: Path) -> None:
     """Compare the two."""
     values = load_parameters(bag / "identifier.yaml", "identifier")
-    for words, parts in (("own", {"estimator": Gentle}), ("without", {})):
+    compared: dict[str, dict[str, Any]] = {"own": {"estimator": Gentle}, "without": {}}
+    for words, parts in compared.items():
         run = run_over(bag, values, **parts)
         published = np.array([e.coefficients for e in run.estimates[len(run.estimates) // 2 :]])
         steps = np.abs(np.diff(published[:, *run.structure.index("pdot/da")])).max()

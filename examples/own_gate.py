@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,8 @@ GATE = Gate("load", setting="", check=overloaded)
 def main(bag: Path) -> None:
     """Compare the two."""
     values = load_parameters(bag / "identifier.yaml", "identifier")
-    for words, parts in (("own", {"gates": [GATE]}), ("without", {})):
+    compared: dict[str, dict[str, Any]] = {"own": {"gates": [GATE]}, "without": {}}
+    for words, parts in compared.items():
         run = run_over(bag, values, **parts)
         shares = {
             name: f"{cost.share:.0%}"

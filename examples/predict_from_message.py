@@ -21,7 +21,7 @@ def predict(message: Any, rates: Sequence[float], u: Sequence[float], dt: float)
     `message` is a sensor_msgs/msg/JointState of structure flight_dynamics; rates in rad/s, FRD;
     `u` are de, dr, da, dth, deviations from trim.
     """
-    a = dict(zip(message.name, message.position, strict=True))
+    a: dict[str, float] = dict(zip(message.name, message.position, strict=True))
     roll, pitch, speed = a["state/roll"], a["state/pitch"], a["state/airspeed"]
     down = [-sin(pitch), sin(roll) * cos(pitch), cos(roll) * cos(pitch)]
 
