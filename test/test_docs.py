@@ -2,6 +2,7 @@
 """The documentation agrees with the code: tables, links, commands, topics, examples."""
 
 import json
+import math
 import os
 import re
 import shlex
@@ -22,6 +23,21 @@ from repository import ROOT, console_scripts, launch_arguments, launch_entries
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.client import Refusal
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification import (
+    delay,
+    flow,
+    gates,
+    model,
+    plausibility,
+    prior,
+    residuals,
+    sampling,
+    scales,
+    speed,
+)
+from uav_ident_ros.identification.estimators import change, excitation, information
+from uav_ident_ros.identification.identifier import START_LEAK_TIME, STRETCH_TIME
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.settings import Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline.inputs import choose_inputs
@@ -277,6 +293,51 @@ def test_the_controller_of_the_readme_inverts_the_model_and_follows_the_verdict(
     receive(2, usable=True)
     u = inversion.inputs(2, np.zeros(3), np.array([3.0, 1.3, 0.1]))
     np.testing.assert_allclose(u, [-0.05, -0.05, 0.1, 0.0])
+
+
+# --- figures -----------------------------------------------------------------------------------
+
+
+def test_the_algorithm_page_has_the_constants_of_the_code() -> None:
+    text = " ".join(text_of(ROOT / "docs" / "algorithm.md").split())
+    fast, slow, slowest = residuals.ANSWER_TIMES
+    lightest, heaviest = (
+        force / GRAVITY for force in (plausibility.SMALLEST_FORCE, plausibility.LARGEST_FORCE)
+    )
+    for figure in (
+        f"Odds of {math.exp(residuals.CONFIRMED):.0f} to 1",
+        f"(order {residuals.ORDER}, {scales.MEMORY:g} s)",
+        f"faded over {fast:.2g}, {slow:.2g} and {slowest:.2g} s",
+        f"more than {plausibility.SMALLEST_MEAN_RATE:g} rad/s on average, and less than "
+        f"{plausibility.GRAVITY_LEFT:g} g is left",
+        f"an input is beyond {plausibility.COUNTS:.0f} rad",
+        f"below {lightest:g} or above {heaviest:g} g",
+        f"for {plausibility.ENOUGH:g} s an input is never within {plausibility.LARGEST_TRIM:g} rad",
+        f"one g over any {plausibility.WINDOW:g} s",
+        f"larger of {gates.NOISE_SWING:.1f} times the gyro's own noise and "
+        f"{gates.REST_SWAY:g} rad/s: noise exceeds {scales.DOUBTLESS:.1f} sigma",
+        f"median of the first {sampling.RATE_SAMPLES} intervals",
+        f"limited to 1/{speed.LARGEST_RATIO:g} ... {speed.LARGEST_RATIO:g}",
+        f"k = {flow.ATTITUDE_GAIN:g} 1/s",
+        f"At {100 * flow.GRAVITY_BAND:g} % it does not count at all",
+        f"largest variance over {excitation.WINDOW_TIME:g} s of its inputs",
+        f"eigenvalue below {information.COLLINEAR_EIGENVALUE:.2f} name",
+        f"{100 * information.MODEL_ERROR:g} % of the value**",
+        f"Beyond {scales.OUTLYING:g} times the usual size",
+        f"at most -g / {prior.LARGEST_LIFT_ANGLE:g}",
+        f"serves for the first {scales.SHORT_MEMORY:g} s of learning",
+        f"at most {START_LEAK_TIME:g} s for the first {scales.START_TIME:g} s of learning",
+        f"added {STRETCH_TIME:g} s at a time",
+        f"A rate beyond {model.LARGEST_RATE:g} rad/s",
+        f"residuals of the last {change.WINDOW_TIME:g} s are tested",
+        f"The delays are {1e3 * scales.STEP:g} ms apart",
+        f"over the last {scales.BLOCKS} blocks",
+        f"{1e3 * delay.SYSTEMATIC_ERROR:g} ms of systematic error",
+        f"sigma is at most {1e3 * delay.SURE_SIGMA:g} ms, and at all sums "
+        f"{1e3 * delay.APART * scales.STEP:g} ms away J exceeds its minimum by "
+        f"{scales.DOUBTLESS**2:.0f}",
+    ):
+        assert figure in text
 
 
 # --- architecture ----------------------------------------------------------------------------
