@@ -9,7 +9,6 @@ import hashlib
 import json
 import os
 import pickle
-import sys
 import tempfile
 import time
 from collections.abc import Mapping
@@ -17,8 +16,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import bench
 import yaml
-from bench import BUILD
 
 from uav_ident_ros import simulation
 from uav_ident_ros.simulation.airframe import build
@@ -33,7 +32,7 @@ from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
 
 DEFINITIONS = Path(__file__).with_name("flights.yaml")
-CACHE = BUILD / "flights"
+CACHE = bench.BUILD / "flights"
 WORTH_KEEPING = 1.0
 """Flights that took longer than this to fly, s, are kept on disk."""
 
@@ -161,20 +160,22 @@ def _keep(flight: Flight, path: Path) -> None:
     os.replace(temporary, path)  # whole or not at all, whoever else is writing it
 
 
-def _main(wanted: list[str]) -> int:
+def main() -> None:
+    """List the flights, or fly the ones named."""
+    parser = bench.parser(__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="flights to fly (none)")
+    wanted = parser.parse_args().names
     for name in wanted or names():
         try:
             own = definition(name)
         except SimulationError as error:
-            print(f"flights: {error}", file=sys.stderr)
-            return 2
+            parser.error(str(error))
         print(f"{name}: {own['description']}")
         if wanted:
             flight = load_flight(name)
             rms = ", ".join(f"{v:.3f}" for v in flight.rates.std(axis=0))
             print(f"  {flight.duration:g} s at {flight.rate:g} Hz, rates {rms} rad/s rms")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(_main(sys.argv[1:]))
+    main()
