@@ -11,10 +11,23 @@ from uav_ident_ros.identification.structure import STRUCTURES
 STRUCTURE = STRUCTURES["augmented"]
 LAYOUT = layout(STRUCTURE)
 DT, EVERYWHERE, OPEN_LOOP = 0.05, np.ones(3), np.zeros(3)
-AILERON = 10
+ROLL_RATE, AILERON = 5, 10
 DAMPING, EFFECT = -6.0, 40.0
 KNOWN = np.array([EFFECT, -30.0, -9.0])
 KNOWN_ROWS = np.ones(3, dtype=bool)
+
+
+def by_aileron(
+    u: np.ndarray,
+    pdot: np.ndarray,
+    p: np.ndarray | float = 0.0,
+    residual: np.ndarray | None = None,  # If not all of it is left
+) -> RowSamples:
+    """Samples of a roll in which the aileron is asked for u."""
+    y, f = np.zeros((len(u), 3)), np.zeros((len(u), STRUCTURE.size))
+    y[:, 0], f[:, ROLL_RATE], f[:, AILERON] = pdot, p, u
+    left = y if residual is None else np.outer(residual, [1.0, 0.0, 0.0])
+    return RowSamples.of(Regression.of(y, f, f, DT), left, LAYOUT)
 
 
 def rolled(
@@ -24,16 +37,14 @@ def rolled(
     rng = np.random.default_rng(seed)
     t = DT * np.arange(round(seconds / DT))
     u = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
-    f, p = np.zeros((len(t), STRUCTURE.size)), 0.0
-    y = np.zeros((len(t), 3))
+    p, pdot = np.zeros(len(t) + 1), np.zeros(len(t))
     gusts, reached = noise * rng.normal(size=len(t)), 0.0
     for k, command in enumerate(u):
         keep = np.exp(-DT / lag) if lag else 0.0
         reached = keep * reached + (1.0 - keep) * np.clip(command, -travel, travel)
-        y[k, 0] = DAMPING * p + EFFECT * reached + gusts[k]
-        f[k, [5, AILERON]] = p, command
-        p += DT * y[k, 0]
-    return RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT)
+        pdot[k] = DAMPING * p[k] + EFFECT * reached + gusts[k]
+        p[k + 1] = p[k] + DT * pdot[k]
+    return by_aileron(u, pdot, p[:-1])
 
 
 def shares(
@@ -76,10 +87,7 @@ def test_pulses_of_one_size_cannot_show_how_an_aileron_saturates(seed: int) -> N
     """The input and its square are the same then, but for a factor."""
     rng = np.random.default_rng(seed)
     u = 0.05 * np.tile(np.repeat([1.0, -1.0, 1.0, -1.0, 0.0], [30, 20, 10, 10, 50]), 10)
-    y, f = np.zeros((len(u), 3)), np.zeros((len(u), STRUCTURE.size))
-    f[:, AILERON] = u
-    y[:, 0] = EFFECT * u + 0.1 * rng.normal(size=len(u))
-    assert not share(RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT)).any()
+    assert not share(by_aileron(u, EFFECT * u + 0.1 * rng.normal(size=len(u)))).any()
 
 
 @pytest.mark.parametrize("offset", [-0.06, 0.06])
@@ -87,10 +95,8 @@ def test_about_a_large_deflection_it_is_judged_by_what_it_does_there(offset: flo
     """Its slope at none, where it never is, has the other sign, and would be taken away 7 times."""
     rng, t = np.random.default_rng(1), DT * np.arange(1200)
     u = offset + 0.01 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
-    y, f = np.zeros((len(t), 3)), np.zeros((len(t), STRUCTURE.size))
-    y[:, 0] = -3.0 * u + 360.0 * u * np.abs(u) + 0.01 * rng.normal(size=len(t))
-    f[:, AILERON] = u
-    assert share(RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT)).tolist() == [0.0, 0.0, 0.0]
+    pdot = -3.0 * u + 360.0 * u * np.abs(u) + 0.01 * rng.normal(size=len(t))
+    assert share(by_aileron(u, pdot)).tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -102,12 +108,9 @@ def test_a_surface_that_rests_while_its_row_learns_is_accused_of_nothing(seed: i
     rng, t = np.random.default_rng(seed), DT * np.arange(3200)
     moves = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
     u = np.where(t < 60.0, moves, 0.05 * np.exp(-15.0 * np.maximum(t - 60.0, 0.0)))
-    y, f = np.zeros((len(t), 3)), np.zeros((len(t), STRUCTURE.size))
-    f[:, AILERON] = u
-    f[:, 5] = 0.1 * np.convolve(rng.normal(size=len(t)), np.ones(20) / 20.0, "same")
-    y[:, 0] = DAMPING * f[:, 5] + EFFECT * u + 0.1 * rng.normal(size=len(t))
-    looked = ModelError(LAYOUT)
-    found = shares(RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT), looked)
+    p = 0.1 * np.convolve(rng.normal(size=len(t)), np.ones(20) / 20.0, "same")
+    looked, noise = ModelError(LAYOUT), 0.1 * rng.normal(size=len(t))
+    found = shares(by_aileron(u, DAMPING * p + EFFECT * u + noise, p), looked)
     assert found.max() < 0.02
     assert looked.doubt(KNOWN_ROWS).max() < 0.02
 
@@ -127,10 +130,7 @@ def test_an_aileron_that_does_less_the_quicker_it_moves_is_found(lag: float, gai
         0.02 * (size * np.sin(np.outer(t, frequencies) + phases)).sum(axis=1)
         for size in (1.0, 1.0 / np.hypot(1.0, lag * frequencies))
     )
-    y, f = np.zeros((len(t), 3)), np.zeros((len(t), STRUCTURE.size))
-    y[:, 0] = EFFECT * acting + 0.1 * rng.normal(size=len(t))
-    f[:, AILERON] = u
-    found = share(RowSamples.of(Regression.of(y, f, f, DT), y, LAYOUT))
+    found = share(by_aileron(u, EFFECT * acting + 0.1 * rng.normal(size=len(t))))
     assert found[0] == pytest.approx(gain, abs=0.05)
 
 
@@ -215,11 +215,7 @@ def test_an_aileron_that_answers_gusts_is_not_called_late(seed: int) -> None:
     for k in range(1, n):
         gusts[k] = 0.9 * gusts[k - 1] + rng.normal()
         u[k] = 0.8 * u[k - 1] - 0.01 * gusts[k] + 0.01 * rng.normal()
-    y, f = np.zeros((n, 3)), np.zeros((n, STRUCTURE.size))
-    f[:, AILERON] = u
-    y[:, 0] = EFFECT * u + gusts
-    residual = np.outer(gusts, [1.0, 0.0, 0.0])
-    samples = RowSamples.of(Regression.of(y, f, f, DT), residual, LAYOUT)
+    samples = by_aileron(u, EFFECT * u + gusts, residual=gusts)
     assert share(samples)[0] > 0.1
     answers = np.array([0.5, 0.0, 0.0])
     assert share(samples, answers).tolist() == [0.0, 0.0, 0.0]

@@ -49,6 +49,14 @@ def blocks(target: Sampler, until_ns: int, start_ns: int = 0) -> Iterator[Block]
         yield from target.blocks()
 
 
+def gridded(rates_ms: Any, inputs_ms: Any, until_ms: int, **values: Any) -> list[Block]:
+    """All blocks up to a time from still rates and inputs with these stamps."""
+    target = sampler(**values)
+    add_rates(target, np.rint(np.array(rates_ms) * MS))
+    add_inputs(target, np.array(inputs_ms) * MS)
+    return list(blocks(target, until_ms * MS))
+
+
 def sampled(measurements: Measurements, **changes: Any) -> tuple[Sampler, list[Block]]:
     """A sampler that was given a whole flight, and its blocks."""
     target = Sampler(settings(measurements, **changes))
@@ -128,46 +136,30 @@ def test_the_rate_is_found_and_every_sample_lies_on_the_grid(rate: int) -> None:
     np.testing.assert_allclose(on_grid, rates[first : first + len(on_grid), 0], atol=1e-4)
 
 
-def test_the_rate_is_that_of_a_link_which_loses_every_other_sample_at_first() -> None:
-    target = sampler()
-    add_rates(target, [*range(0, 160 * MS, 20 * MS), *range(160 * MS, 1000 * MS, 10 * MS)])
-    add_inputs(target, range(0, 1000 * MS, 20 * MS))
-    assert next(blocks(target, 1000 * MS)).h == pytest.approx(0.01)
+@pytest.mark.parametrize(
+    ("stamps_ms", "h"),
+    [
+        ([*range(0, 160, 20), *range(160, 1000, 10)], 0.01),
+        (np.arange(0, 2000, 5)[np.random.default_rng(7).random(400) >= 0.2], 0.005),
+        (np.arange(0, 1000, 0.5), 0.001),
+    ],
+    ids=["a link loses every other sample at first", "samples are dropped", "1 kHz at most"],
+)
+def test_the_grid_has_the_rate_of_the_imu_whatever_is_lost(stamps_ms: Any, h: float) -> None:
+    assert gridded(stamps_ms, range(0, 2000, 20), 2000)[0].h == pytest.approx(h)
 
 
 def test_an_imu_of_20_hz_is_used_after_a_second() -> None:
-    target = sampler()
-    add_rates(target, range(0, 3000 * MS, 50 * MS))
-    add_inputs(target, range(0, 3000 * MS, 20 * MS))
-    assert next(blocks(target, 3000 * MS)).t_ns[-1] <= 1100 * MS
-
-
-def test_an_imu_beyond_1_khz_is_followed_at_that() -> None:
-    target = sampler()
-    add_rates(target, range(0, 1000 * MS, MS // 2))
-    add_inputs(target, range(0, 1000 * MS, 20 * MS))
-    assert next(blocks(target, 1000 * MS)).h == pytest.approx(0.001)
+    assert gridded(range(0, 3000, 50), range(0, 3000, 20), 3000)[0].t_ns[-1] <= 1100 * MS
 
 
 # -- gaps and stale inputs ---------------------------------------------------------------------
 
 
-def test_dropped_samples_do_not_slow_the_grid_down() -> None:
-    rng = np.random.default_rng(7)
-    stamps = np.arange(0, 2000, 5)[rng.random(400) >= 0.2] * MS
-    target = sampler()
-    add_rates(target, stamps)
-    add_inputs(target, range(0, 2000 * MS, 20 * MS))
-    assert next(blocks(target, 2000 * MS)).h == pytest.approx(0.005)
-
-
 @pytest.mark.parametrize(("gap_ms", "restarts"), [(150, 0), (250, 1)])
 def test_only_a_long_gap_in_the_rates_restarts(gap_ms: int, restarts: int) -> None:
-    stamps = [*range(0, 1000, 5), *range(1000 + gap_ms, 2500, 5)]
-    target = sampler()
-    add_rates(target, np.array(stamps) * MS)
-    add_inputs(target, range(0, 2500 * MS, 20 * MS))
-    got = list(blocks(target, 2500 * MS))
+    stamps_ms = [*range(0, 1000, 5), *range(1000 + gap_ms, 2500, 5)]
+    got = gridded(stamps_ms, range(0, 2500, 20), 2500)
     assert sum(block.restarted for block in got) == 1 + restarts
     covered = sum(int(block.t_ns[-1] - block.t_ns[0]) for block in got)
     assert covered == (2495 - restarts * (gap_ms + 5)) * MS
@@ -175,33 +167,25 @@ def test_only_a_long_gap_in_the_rates_restarts(gap_ms: int, restarts: int) -> No
 
 def test_inputs_at_no_steady_rate_are_held_until_the_timeout() -> None:
     """Sent on change only: no message means no change."""
-    target = sampler(actuators__timeout=0.4)
-    add_rates(target, range(0, 6000 * MS, 5 * MS))
-    stamps = np.cumsum(np.tile([10, 10, 250, 30, 300, 10, 380], 8))
-    add_inputs(target, [0, *stamps[stamps < 4000] * MS])
-    got = list(blocks(target, 6000 * MS))
+    sent = np.cumsum(np.tile([10, 10, 250, 30, 300, 10, 380], 8))
+    sent = sent[sent < 4000]
+    got = gridded(range(0, 6000, 5), [0, *sent], 6000, actuators__timeout=0.4)
     assert [block.restarted for block in got] == [True] + [False] * (len(got) - 1)
-    assert got[-1].t_ns[-1] == (int(stamps[stamps < 4000][-1]) + 400) * MS
+    assert got[-1].t_ns[-1] == (int(sent[-1]) + 400) * MS
 
 
 @pytest.mark.parametrize(("lost_ms", "restarts"), [(90, 0), (150, 1)])
 def test_quick_inputs_are_held_for_a_tenth_of_a_second(lost_ms: int, restarts: int) -> None:
     """Five intervals of 10 ms are less: a few lost messages are no reason to begin anew."""
-    target = sampler()
-    add_rates(target, range(0, 3000 * MS, 5 * MS))
-    add_inputs(target, range(0, 1010 * MS, 10 * MS))
-    add_inputs(target, range((1000 + lost_ms) * MS, 3000 * MS, 10 * MS))
-    got = list(blocks(target, 3000 * MS))
+    sent_ms = [*range(0, 1010, 10), *range(1000 + lost_ms, 3000, 10)]
+    got = gridded(range(0, 3000, 5), sent_ms, 3000)
     assert sum(block.restarted for block in got) == 1 + restarts
 
 
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
 def test_stale_inputs_pause_and_fresh_ones_restart(interpolation: str) -> None:
-    target = sampler(actuators__interpolation=interpolation)
-    add_rates(target, range(0, 4000 * MS, 5 * MS))
-    add_inputs(target, range(0, 1000 * MS, 20 * MS))
-    add_inputs(target, range(2500 * MS, 4000 * MS, 20 * MS))
-    got = list(blocks(target, 4000 * MS))
+    sent_ms = [*range(0, 1000, 20), *range(2500, 4000, 20)]
+    got = gridded(range(0, 4000, 5), sent_ms, 4000, actuators__interpolation=interpolation)
     assert [int(b.t_ns[0]) // MS for b in got if b.restarted] == [0, 2500]
     last = 980 + (100 if interpolation == "hold" else 0)  # five intervals of 20 ms
     paused = [b for b in got if b.t_ns[0] < 2500 * MS]
