@@ -203,6 +203,7 @@ def trim(elevator: float) -> dict[str, Any]:
 
 
 MAPPED = trim(1500.0) | {"actuators__scale": (0.002, 1.0, 1.0, 1.0)}
+LEARNED = {"actuators__learn_trim_time": 2.0, "actuators__trim": ()}
 BORDERS: list[tuple[str, Callable[[], Signals], dict[str, Any]]] = [
     # what is found, words of it, in which signals, read how
     ("", lambda: tilted(55.0), {}),
@@ -231,6 +232,8 @@ BORDERS: list[tuple[str, Callable[[], Signals], dict[str, Any]]] = [
     ("", lambda: plain(de=pulse_widths), MAPPED),
     ("", lambda: plain(de=lambda k: 2.9 * np.sin(k)), {}),
     ("channel range?", lambda: plain(de=lambda k: 3.5 * np.sin(k)), {}),  # degrees, a warning
+    ("", lambda: plain(de=lambda k: 3.0 + 0.4 * np.sin(k)), LEARNED),  # pulse widths of 1500 us
+    ("channel range?", lambda: plain(de=lambda k: 3.0 + 3.5 * np.sin(k)), LEARNED),
     ("", lambda: plain(de=lambda k: 190.0 * np.sin(k)), {}),
     ("", lambda: plain(de=lambda k: 0.1 * np.random.default_rng(2).normal(size=len(k))), {}),
     ("", lambda: switching(0.015), {}),

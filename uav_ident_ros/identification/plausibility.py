@@ -139,6 +139,7 @@ class Plausibility:
         self._imu = settings.imu
         self._frame = BodyFrame(settings.imu)
         self._map = InputMap(settings.actuators)
+        self._learns_trim = settings.actuators.learn_trim_time > 0.0
         self._structure = STRUCTURES[settings.structure]
         self._expected = settings.supervision.expected_signs
         self._multirotor = settings.actuators.multirotor
@@ -349,7 +350,7 @@ class Plausibility:
             if quick and (publishers := _interleaved(name, own)) is not None:
                 found.append(publishers)
             if name != "dth":  # throttles come in all units, motor speeds among them
-                found += _off_range(name, own, without_trim[:, i])
+                found += _off_range(name, own, without_trim[:, i], self._learns_trim)
         return found
 
 
@@ -381,8 +382,13 @@ def _rotations(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
 
 
-def _off_range(name: str, u: FloatArray, without_trim: FloatArray) -> Iterator[Finding]:
-    """Yield what makes a surface's deflections none: counts, a trim or an angle in degrees."""
+def _off_range(
+    name: str, u: FloatArray, without_trim: FloatArray, learns_trim: bool
+) -> Iterator[Finding]:
+    """Yield what makes a surface's deflections none: counts, a trim or an angle in degrees.
+
+    Where the trim is to be learned, deflections are looked at about their own middle.
+    """
     size = np.abs(u)
     largest = float(size.max())
     if largest < LARGEST_TRIM:  # nearly always
@@ -402,10 +408,11 @@ def _off_range(name: str, u: FloatArray, without_trim: FloatArray) -> Iterator[F
             f"never within {LARGEST_TRIM:g}, and {np.median(without_trim):+.2f} without the trim; "
             "write the trim in the unit of the channels",
         )
-    if LARGEST_DEFLECTION < largest < COUNTS and abs(middle) <= LARGEST_DEFLECTION:
+    reach = float(np.abs(u - middle).max()) if learns_trim else largest
+    if LARGEST_DEFLECTION < reach < COUNTS and abs(middle) <= LARGEST_DEFLECTION:
         yield Finding(
             "channel range",
-            f"{name} looks as if in degrees: it reaches {largest:.1f} rad. Set actuators.scale to "
+            f"{name} looks as if in degrees: it reaches {reach:.1f} rad. Set actuators.scale to "
             "0.01745",
             fault=False,
         )
