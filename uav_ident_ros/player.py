@@ -170,6 +170,7 @@ class Player(Guest):
         # Whether to wait for the node where it does not keep up, so that a busy machine plays
         # slower and loses nothing
         in_step: bool = False,
+        start_up_ns: int = START_UP_NS,  # Of it, in which no output is waited for
     ) -> float:
         """Play in log-time order; between messages /clock goes on in its own steps.
 
@@ -186,7 +187,7 @@ class Player(Guest):
         """
         start_ns, start = messages[0].log_ns, time.monotonic()
         late: list[float] = []
-        clock_ns = start_ns
+        clock_ns, awaited_ns = start_ns, start_ns + start_up_ns
         if self.send_clock(clock_ns):  # which must arrive before the messages
             self.spin_for(SETTLE)
         for message in messages:
@@ -195,7 +196,7 @@ class Player(Guest):
                 due = start + (clock_ns - start_ns) / NS_PER_S / speed
                 self.spin_for(due - time.monotonic())
                 if in_step:
-                    self._keep_in_step(clock_ns, start_ns)
+                    self._keep_in_step(clock_ns, start_ns, awaited_ns)
                 late.append(time.monotonic() - due)
                 on_time(clock_ns)
                 self._clock.advance(clock_ns)
@@ -204,15 +205,21 @@ class Player(Guest):
         return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
 
     def play_in_step(self, messages: Sequence[Message]) -> None:
-        """Play as fast as the node answers, so that no message can be lost; forget what it said."""
-        self.outputs.clear()
-        self.play(messages, speed=math.inf, in_step=True)
+        """Play as fast as the node answers, so that no message can be lost; forget what it said.
 
-    def _keep_in_step(self, t_ns: int, start_ns: int) -> None:
+        What goes on where the node's last output was is in step from the start: a run of excitation
+        would be aborted where /clock gets half a second ahead of the messages.
+        """
+        goes_on = 0 <= messages[0].log_ns - self.outputs.newest_ns < START_UP_NS
+        self.outputs.clear()
+        start_up_ns = 0 if goes_on else START_UP_NS
+        self.play(messages, speed=math.inf, in_step=True, start_up_ns=start_up_ns)
+
+    def _keep_in_step(self, t_ns: int, start_ns: int, awaited_ns: int) -> None:
         """Listen, and before `t_ns` is played wait for the output of a moment ago."""
         self._executor.spin_once(timeout_sec=0.0)
         wanted_ns = t_ns - ANSWER_WITHIN_NS
-        if wanted_ns >= start_ns + START_UP_NS and not self._clock.wait(
+        if wanted_ns >= awaited_ns and not self._clock.wait(
             lambda: self.called_off() or self.outputs.newest_ns >= wanted_ns, t_ns, PATIENCE
         ):
             raise PlayerError(
