@@ -115,6 +115,18 @@ def test_a_message_that_holds_no_coefficients_is_refused(spoil: Any, reason: str
     assert source.model(START).t_ns == START - SECOND // 20  # what was there stays
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("airspeed", math.nan), ("airspeed", 0.0), ("airspeed", -20.0), ("roll", math.inf)],
+)
+def test_states_that_nobody_flies_at_are_refused(field: str, value: float) -> None:
+    """A controller divides by the airspeed."""
+    wrong = message_of(FLIGHT, np.where(FLIGHT.mask, 1.0, 0.0))
+    wrong.position[list(wrong.name).index(f"state/{field}")] = value
+    with pytest.raises(MessageError, match="state"):
+        Coefficients.from_message(wrong)
+
+
 def test_a_coefficient_is_known_by_its_own_sigma_or_by_being_surely_small() -> None:
     known = Coefficients.from_message(
         message(sigma={"qdot/de": 9.0, "rdot/da": 0.2, "pdot/pq": 0.5, "pdot/dr": 2.0})

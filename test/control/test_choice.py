@@ -197,12 +197,31 @@ def test_what_is_measured_is_followed_as_it_becomes_surer() -> None:
     """The first measurement says that the effect is another, a later one how much it is."""
     chosen, measured = choice()[0], Effectiveness()
     chosen.update(START, measured)
-    for k, (factor, sigma, share) in enumerate(
-        [(0.6, 0.13, 0.6), (0.55, 0.2, 0.6), (0.5, 0.1, 0.5), (0.52, 0.1, 0.52), (0.9, 1.0, 0.52)]
-    ):
-        measured.factor[0], measured.sigma[0] = factor, sigma
-        chosen.update(LATER + 2 * k * 10**9, measured)
-        assert chosen.update(LATER + (2 * k + 1) * 10**9, measured).share[0] == pytest.approx(share)
+    measured.factor[0], measured.sigma[0] = 0.6, 0.13
+    chosen.update(LATER, measured)
+    later = LATER + 10**9
+    assert chosen.update(later, measured).share[0] == pytest.approx(0.6)
+    for since, sigma, seconds, share in [
+        (0.55, 0.2, 0.1, 0.6), (0.5, 0.1, 0.1, 0.5), (0.52, 0.1, 0.1, 0.52), (0.9, 1.0, 1.0, 0.52),
+        (0.56, 0.2, 2.5, 0.56),  # what was found long ago is less sure by now
+    ]:  # fmt: skip
+        measured.since[0], measured.since_sigma[0] = since, sigma
+        later += round(seconds * 1e9)
+        assert chosen.update(later, measured).share[0] == pytest.approx(share)
+
+
+def test_half_of_the_nominal_effect_may_be_flown_where_more_was_identified() -> None:
+    """Not half of what was identified alone, whose sigma may be a fifth."""
+    chosen, source = choice()
+    measured = Effectiveness()
+    source.add(coefficients(1.2, LATER))
+    assert chosen.update(LATER, measured).share[0] == pytest.approx(1.2)
+    measured.factor[0], measured.sigma[0] = 0.52, 0.1
+    chosen.update(LATER + 10**8, measured)
+    source.add(coefficients(1.2, LATER + 10**9))
+    assert chosen.update(LATER + 10**9, measured).share[0] == pytest.approx(0.52)
+    measured.since[0], measured.since_sigma[0] = 0.3, 0.05
+    assert chosen.update(LATER + 10**9 + 10**7, measured).share[0] == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(("moved", "share"), [(1.2, 1.0), (0.9, 0.5)])
@@ -224,10 +243,60 @@ def test_least_squares_sees_what_the_reference_does_not_ask_for() -> None:
     """A loop rings: nothing was demanded, and the inputs do all of their effect."""
     measured, rng = Effectiveness(), np.random.default_rng(0)
     for k in range(300):
-        made = np.full(3, np.sin(0.1 * k))
+        made = np.full(3, np.sin(0.02 * np.pi * k))
         measured.update(made + 0.1 * rng.standard_normal(3), made, 0.01, np.full(3, 1e-3))
     assert measured.moved == pytest.approx([1.0, 1.0, 1.0], abs=0.1)
     assert (measured.moved_sigma < 0.5 * measured.sigma).all()
+
+
+def measure(
+    measured: Effectiveness, seconds: float, size: float, effect: float, noise: float, seed: int = 0
+) -> None:
+    """Let it take so many seconds of turns of one size."""
+    rng = np.random.default_rng(seed)
+    for k in range(round(seconds / 0.01)):
+        asked = np.full(3, size * np.sin(0.05 * k))
+        made = asked + 0.1 * rng.standard_normal(3)
+        measured.update(effect * made + noise * rng.standard_normal(3), made, 0.01, asked)
+
+
+def test_what_was_measured_before_a_change_does_not_count_after_it() -> None:
+    """Lively turns, a surface that loses half of its effect, and gentle turns from then on."""
+    measured = Effectiveness()
+    measure(measured, 20.0, 3.0, 1.0, 0.05)
+    measure(measured, 2.1, 0.5, 0.5, 0.05, 1)
+    assert measured.factor == pytest.approx([0.5] * 3, abs=0.1)
+    assert (measured.sigma < 0.15).all()
+
+
+def test_a_change_is_measured_from_its_beginning_on() -> None:
+    measured = Effectiveness()
+    measure(measured, 20.0, 1.0, 1.0, 2.0)
+    measure(measured, 2.1, 1.0, 0.5, 2.0, 1)
+    measured.begin(np.array([True, True, False]))
+    assert measured.since[:2].tolist() == measured.factor[:2].tolist()
+    assert measured.since_sigma[:2].tolist() == measured.sigma[:2].tolist()
+    measure(measured, 20.0, 1.0, 0.5, 2.0, 2)
+    assert measured.since[:2] == pytest.approx([0.5] * 2, abs=0.15)
+    assert measured.since[2] == pytest.approx(0.74, abs=0.15)  # half of its time was before
+    assert (measured.since_sigma < 0.6 * measured.sigma)[:2].all()
+    measured.changed(0)
+    measure(measured, 1.9, 1.0, 1.0, 2.0, 3)
+    assert measured.since_sigma[0] > 100.0  # nothing yet
+    measure(measured, 20.0, 1.0, 1.0, 2.0, 4)
+    assert measured.since[0] == pytest.approx(1.0, abs=0.15)
+    assert measured.since[1] < 0.9
+
+
+def test_a_quiet_moment_is_no_surer_than_what_came_before_allows() -> None:
+    """Gusts come and go: two seconds without any say little of the next."""
+    found = []
+    for noise in (0.05, 5.0):
+        measured = Effectiveness()
+        measure(measured, 30.0, 1.0, 1.0, noise)
+        measure(measured, 2.1, 1.0, 1.0, 0.05, 1)
+        found.append(float(measured.sigma[0]))
+    assert found[1] > 2.0 * found[0]
 
 
 @pytest.mark.parametrize("explains", [False, True])
@@ -287,7 +356,7 @@ def test_an_input_that_does_nothing_has_the_sign_of_before(reversals: int) -> No
         (0.55, True, 0.55),
         (0.55, False, 1.0),  # what a tumbling aircraft shows of its other axes
         (1.4, True, 1.0),  # more effect than believed needs twice the evidence
-        (1.6, True, 1.6),
+        (1.7, True, 1.7),
     ],
 )
 def test_what_is_measured_is_flown_on_if_it_stands_out(

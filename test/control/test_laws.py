@@ -5,7 +5,17 @@ import numpy as np
 import pytest
 from equations import matrix
 from pid import PidController, PidGains
-from plants import DT_NS, LIMITS, START, STEP, STRUCTURE, coefficients, controller, flown
+from plants import (
+    DT_NS,
+    LIMITS,
+    START,
+    STEP,
+    STRUCTURE,
+    a_sample_later,
+    coefficients,
+    controller,
+    flown,
+)
 
 from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
 from uav_ident_ros.control import LAWS, Effectiveness, IncrementalLaw
@@ -117,6 +127,35 @@ def test_only_an_aircraft_that_rolls_over_is_rolled_by_sideslip(
 ) -> None:
     assert rolls_over(bank, p, acceleration, damping) is rolls
     assert rolls_over(-bank, -p, -acceleration, damping) is rolls
+
+
+@BOTH
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_a_sample_or_a_reference_that_is_not_finite_moves_nothing(law: Law, adaptive: bool) -> None:
+    flying, _ = controller(law, adaptive=adaptive)
+    before = flying.update(START, np.zeros(3), STEP)
+    nan, later = np.array([np.nan, 0.0, 0.0]), START
+    for x, wanted in ((nan, STEP), (np.zeros(3), nan), (np.full(3, np.inf), STEP)):
+        later += DT_NS
+        assert flying.update(later, x, wanted).tolist() == before.tolist()
+    for _ in range(50):
+        later += DT_NS
+        assert np.isfinite(flying.update(later, np.zeros(3), STEP)).all()
+
+
+def test_a_gap_keeps_the_inputs_that_hold_a_steady_disturbance() -> None:
+    """Trim is off: what holds it acts on through a gap of the Imu, and after it."""
+    flying, _ = controller(adaptive=False)
+    push, x, u = np.array([3.0, -1.5, 0.4]), np.zeros(3), np.zeros(4)
+    plant, held = coefficients().values, np.zeros(3)
+    for k in range(500):
+        if not 300 <= k < 320:
+            u = flying.update(START + k * DT_NS, x, np.zeros(3))
+        x = a_sample_later(x, u, plant, push)
+        if k == 299:
+            np.testing.assert_allclose(x, 0.0, atol=2e-3)
+        held = np.maximum(held, np.abs(x)) if k > 300 else held
+    assert (held < 0.01).all()
 
 
 def test_after_a_gap_it_starts_afresh() -> None:

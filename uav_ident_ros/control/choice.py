@@ -39,11 +39,13 @@ MEASURED_RANGE = (0.5, 2.0)
 NOTICEABLE = 0.2
 """Change of the effect from which on it is told, and an identified row has to agree with it."""
 
-SIGMAS = 2.5
+SIGMAS = 3.0
 """Standard deviations by which what is measured differs from what is flown on, all through
-`CORRELATION`, before it takes its place. Of recorded flights of six aircraft, three leave a halved
-rudder unknown half as long again; with two, gusts of turbulence 3 to 4 are taken for another effect
-half as often again."""
+`CORRELATION`, before it takes its place."""
+
+FADING = 3.0
+"""Time in which the standard deviation of what is flown on grows by itself again, s: gusts that
+were taken for another effect are seldom as clear a second time."""
 
 IDENTIFIED, LAST_GOOD, NOMINAL, MEASURED = "identified", "last good", "nominal", "measured"
 
@@ -80,7 +82,8 @@ class AxisChoice:
         self.nominal = control_derivatives(nominal)[0]  # (3, 4)
         self._rows = self.nominal.copy()  # those adopted; their main derivatives as flown on:
         self._main = self._rows[AXES, MAINS]
-        self._sigma = np.zeros(len(ROWS))  # of those that are measured, over the nominal ones
+        # of those that are measured, over the nominal ones, and when it was found, ns
+        self._sigma, self._measured_ns = np.zeros(len(ROWS)), np.zeros(len(ROWS), dtype=np.int64)
         # (3,) Worth of each axis for `allocate`: its nominal authority, rad/s^2
         self.scale = authority(self.nominal, limits)
         # What the aircraft does by itself, for `Response`: every estimate of the rows in use,
@@ -207,19 +210,27 @@ class AxisChoice:
         # a loop that rings on too little believed effect shows it by its own motion
         shown = (measured.moved - twice * measured.moved_sigma) * size
         rings = (self._flown < 1.0) & (np.abs(self._main) < shown)
-        found = np.where(rings, rows, measured.factor * nominal)
+        found = measured.factor * nominal
         more = np.abs(found) > np.maximum(np.abs(self._main), size)
         least = np.where(more, twice, SIGMAS) * measured.sigma * size
         away = (np.abs(found - self._main) > least) | rings
         self._agreed_ns = np.where(away & certain, self._agreed_ns, t_ns)
-        surely = t_ns - self._agreed_ns > CORRELATION * 1e9
-        # once it is another, the question is how much it is: the surest measurement says it
-        better = self._rescaled & certain & (measured.sigma <= self._sigma)
         # without flow angles in the model, what they do would be taken for the inputs'
-        taken = (surely | better) & self.model.structure.has_flow
-        ends = np.sort(np.outer(MEASURED_RANGE, rows), axis=0)
-        self._main = np.where(taken, np.clip(found, *ends), self._main)
-        self._sigma = np.where(taken, measured.sigma, self._sigma)
+        can = certain & self.model.structure.has_flow
+        surely = can & (t_ns - self._agreed_ns > CORRELATION * 1e9)
+        # once it is another, the question is how much it is: the surest measurement says it
+        faded = self._sigma * (1.0 + np.maximum(t_ns - self._measured_ns, 0) * 1e-9 / FADING)
+        surer = can & ~surely & self._rescaled & (measured.since_sigma <= faded)
+        measured.begin(surely)
+        found = np.where(rings, rows, np.where(surely, found, measured.since * nominal))
+        least, most = np.multiply.outer(MEASURED_RANGE, np.abs(rows))
+        least = np.minimum(least, MEASURED_RANGE[0] * size)
+        found = np.sign(rows) * np.clip(np.sign(rows) * found, least, most)
+        taken = surely | surer
+        self._main = np.where(taken, found, self._main)
+        sigma = np.where(surely, measured.sigma, measured.since_sigma)
+        self._sigma = np.where(taken, sigma, self._sigma)
+        self._measured_ns = np.where(taken, t_ns, self._measured_ns)
 
 
 def _over(values: FloatArray, of: FloatArray) -> FloatArray:

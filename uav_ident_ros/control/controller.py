@@ -16,6 +16,10 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 Law = type[IncrementalLaw] | type[InversionLaw]
 
+LONGEST_HOLD = 1.0
+"""Gap of the Imu through which the last inputs are taken to act on, s: they hold what is out of
+trim. After a longer one nobody knows who flew the aircraft."""
+
 LAWS: dict[str, Law] = {"incremental": IncrementalLaw, "inversion": InversionLaw}
 """How the wanted angular acceleration becomes inputs, by name."""
 
@@ -46,6 +50,7 @@ class RateController:
         self._adaptive, self._yaw_for_roll = adaptive, yaw_for_roll(nominal)
         self._last_ns = 0
         self._rolled_over = False
+        self._newest = np.zeros(4)  # Inputs that were last asked for: they act through a gap
         self._response = Response()
         # What the inputs really do, and when
         self.effectiveness, self.delay = Effectiveness(), DelayMeter(delay)
@@ -59,10 +64,18 @@ class RateController:
         x: FloatArray,  # x, reference: (3,) Measured and wanted p, q, r, rad/s, FRD
         reference: FloatArray,
     ) -> FloatArray:
-        """Return de, dr, da, dth, deviations from trim."""
+        """Return de, dr, da, dth, deviations from trim.
+
+        A sample or a reference that is not finite leaves them where they are: a single one would
+        stay in the filters for ever.
+        """
+        if not (np.isfinite(x).all() and np.isfinite(reference).all()):
+            return self._newest
         dt, before_ns = (t_ns - self._last_ns) * 1e-9, self._last_ns
         self._last_ns = t_ns
         if not 0.0 < dt < MAX_INTERVAL:
+            if dt > LONGEST_HOLD:
+                self._newest = np.zeros(4)
             dt, before_ns = 0.0, t_ns
             self._restart(t_ns, x, reference)
         if dt > 0.0 and self._adaptive:
@@ -76,8 +89,7 @@ class RateController:
         else:
             model, acting = self._source.model(t_ns), self._acting(t_ns, self.delay.delay)
             u = self._law.update(dt, model, self.effect.values, x, reference, acting)
-        self._commands.add(t_ns, u)
-        return u
+        return self._sent(t_ns, u)
 
     def _must_sideslip(self, t_ns: int, x: FloatArray) -> bool:
         """Whether an aircraft without ailerons has to be kept from rolling over, once it would."""
@@ -127,17 +139,21 @@ class RateController:
         """
         if not excitation.any():
             return u
-        u = np.clip(u + excitation, *self._limits)
+        return self._sent(t_ns, np.clip(u + excitation, *self._limits))
+
+    def _sent(self, t_ns: int, u: FloatArray) -> FloatArray:
+        self._newest = u
         self._commands.add(t_ns, u)
         return u
 
     def _restart(self, t_ns: int, x: FloatArray, reference: FloatArray) -> None:
         self._commands: History[FloatArray] = History()
+        self._commands.add(0, self._newest)
         self._references: History[FloatArray] = History()
         self.effectiveness.restart()
         self._response.restart()
         self.delay.restart()
         if isinstance(self._law, IncrementalLaw):
-            self._law.restart(x, reference, np.zeros(4))
+            self._law.restart(x, reference, self._newest)
         else:
             self._law.restart(self._source.model(t_ns), self.effect.values, x, reference)

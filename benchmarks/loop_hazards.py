@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What may go wrong around the loop: settings, messages, clocks, an identifier that is killed.
+
+Each hazard is flown by the adaptive loop and by INDI on fixed coefficients, on the same manoeuvres,
+in one process, as in ``fault_campaign.py``, whose aircraft and speeds it uses. The adaptive loop
+must not be lost where the fixed one survives.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import bench
+import numpy as np
+from fault_campaign import ADAPTIVE, AIRCRAFT, Fleet
+from loop import DELAY, make_identifier, message_of, nominal_of
+
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
+from uav_ident_ros.control import IncrementalLaw, RateController
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, FloatArray
+from uav_ident_ros.simulation.airframe import airframe
+from uav_ident_ros.simulation.faults import parse_fault
+from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
+from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
+from uav_ident_ros.simulation.preparation import SENSORS, Prepared
+from uav_ident_ros.simulation.rate_reference import NORMAL, Manoeuvres
+
+DURATION = 45.0
+SPANS = ((5.0, 15.0), (15.0, 30.0), (30.0, DURATION))
+"""What is compared: before, during and after most hazards, s."""
+
+Delivered = Callable[[float, Coefficients, np.random.Generator], list[Coefficients]]
+
+
+def no_input(_: float) -> FloatArray:
+    """Excite nothing."""
+    return np.zeros(4)
+
+
+@dataclass(frozen=True)
+class Hazard:
+    """What is not as it should be."""
+
+    faults: tuple[str, ...] = ()
+    delay: float = DELAY  # True one, s
+    told: float = DELAY  # The one that controller and identifier are told, s
+    trim: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Error of the told trim, rad
+    speed: float = 1.0  # Airspeed over the one that the coefficients are of
+    airspeed: bool = True  # Whether it is measured
+    dead: tuple[float, float] = (0.0, 0.0)  # When no identifier runs, s
+    cold: bool = False  # Whether the next one starts without coefficients
+    clock: Callable[[float], float] = lambda t: 0.0  # Error of all stamps, s
+    # Rates as the Imu says them, or None for a message that is lost
+    imu: Callable[[float, FloatArray, np.random.Generator], FloatArray | None] = lambda t, x, r: x
+    messages: Delivered = lambda t, c, r: [c]  # What arrives of each set of coefficients
+    excitation: Callable[[float], FloatArray] = no_input
+
+
+def lost(share: float) -> Delivered:
+    """Lose that share of all messages."""
+    return lambda t, c, rng: [] if rng.random() < share else [c]
+
+
+def scaled(c: Coefficients, factor: float) -> Coefficients:
+    """Coefficients of an aircraft whose inputs do more or less."""
+    values = c.values.copy()
+    values[:3, INPUT_COLUMNS] *= factor
+    return replace(c, values=values)
+
+
+def also(factor: float) -> Delivered:
+    """Another publisher, of another aircraft, from 15 s on."""
+    return lambda t, c, rng: [c, scaled(c, factor)] if t > 15.0 else [c]
+
+
+def stamped(seconds: float, after: float = 15.0) -> Delivered:
+    """Stamps that are off by so much."""
+    off_ns = round(seconds * 1e9)
+    return lambda t, c, rng: [replace(c, t_ns=c.t_ns + off_ns) if t > after else c]
+
+
+def gaps(length: float, period: float) -> Callable[..., FloatArray | None]:
+    """Gaps of the Imu."""
+    return lambda t, x, rng: None if t > period and t % period < length else x
+
+
+def excited(t: float) -> FloatArray:
+    """Excitation that is aborted in the middle of a swing."""
+    return (10.0 < t < 20.3) * np.array([0.04, 0.04, 0.05, 0.0]) * np.sin([9 * t, 7 * t, 11 * t, 0])
+
+
+HALVED = ("20: aileron effect 0.5",)
+
+HAZARDS = {
+    "none": Hazard(),
+    "delay 40 ms, told 20": Hazard(delay=0.04),
+    "delay 60 ms, told 20": Hazard(delay=0.06),
+    "delay 20 ms, told 40": Hazard(told=0.04),
+    "delay 20 ms, told 60": Hazard(told=0.06),
+    "delay 60 ms, told 20, aileron halved": Hazard(HALVED, delay=0.06),
+    "trim off by 0.05, 0.03, 0.05 rad": Hazard(trim=(0.05, 0.03, 0.05)),
+    "trim off, aileron halved": Hazard(HALVED, trim=(-0.05, -0.03, -0.05)),
+    "a tenth of the coefficients lost": Hazard(messages=lost(0.1)),
+    "half of them lost, aileron halved": Hazard(HALVED, messages=lost(0.5)),
+    "silent for 2 s, elevator halved in it": Hazard(
+        ("18.5: elevator effect 0.5",), messages=lambda t, c, _: [] if 18.0 < t < 20.0 else [c]
+    ),
+    "identifier killed 15 to 25 s, aileron halved": Hazard(HALVED, dead=(15.0, 25.0)),
+    "identifier killed, next one cold": Hazard(dead=(15.0, 25.0), cold=True),
+    "stamps stand still, aileron halved": Hazard(
+        HALVED, messages=lambda t, c, _: [replace(c, t_ns=min(c.t_ns, EPOCH_NS + 15 * 10**9))]
+    ),
+    "stamps 5 s ahead": Hazard(messages=stamped(5.0)),
+    "another publisher, effects a third": Hazard(messages=also(1.0 / 3.0)),
+    "another publisher, effects threefold": Hazard(messages=also(3.0)),
+    "another publisher, effects reversed": Hazard(messages=also(-1.0)),
+    "speed 0.8": Hazard(speed=0.8),
+    "speed 1.25": Hazard(speed=1.25),
+    "speed 0.8, not measured": Hazard(speed=0.8, airspeed=False),
+    "speed 1.25, not measured": Hazard(speed=1.25, airspeed=False),
+    "a tenth of the Imu lost": Hazard(imu=lambda t, x, rng: None if rng.random() < 0.1 else x),
+    "half of the Imu lost": Hazard(imu=lambda t, x, rng: None if rng.random() < 0.5 else x),
+    "gaps of 0.15 s in the Imu, trim off": Hazard(imu=gaps(0.15, 3.0), trim=(0.05, 0.03, 0.05)),
+    "a gap of 0.5 s in the Imu": Hazard(imu=lambda t, x, _: None if 20.0 < t < 20.5 else x),
+    "one sample not a number": Hazard(
+        imu=lambda t, x, _: np.full(3, np.nan) if abs(t - 20.0) < 0.004 else x
+    ),
+    "clock 5 s forward": Hazard(clock=lambda t: 5.0 * (t > 20.0)),
+    "clock 5 s back, aileron halved": Hazard(
+        ("20.2: aileron effect 0.5",), clock=lambda t: -5.0 * (t > 20.0)
+    ),
+    "excitation aborted": Hazard(excitation=excited),
+}
+
+
+def fly(
+    prepared: Prepared, factor: float, adaptive: bool, hazard: Hazard, seed: int
+) -> dict[str, Any]:
+    """Fly once; errors in deg/s, what the axes were flown on, and when the aircraft was lost."""
+    name, speed = prepared.aircraft, prepared.airframe.speed * hazard.speed
+    live = LiveAircraft(
+        name, SENSORS, hazard.delay, [parse_fault(f) for f in hazard.faults], seed, speed=speed
+    )
+    told = replace(
+        prepared, trim=live.trim + np.append(hazard.trim, 0.0), limits=live.aircraft.limits
+    )
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(told))
+    controller = RateController(
+        source, nominal_of(told), told.limits - told.trim, hazard.told, adaptive=adaptive,
+        gains=IncrementalLaw.gains.times(factor),
+    )  # fmt: skip
+    guide = Manoeuvres(**NORMAL | {"airspeed": airframe(name, speed).speed, "seed": seed})
+    settings = {"actuators.delay": hazard.told}
+    settings |= {} if hazard.airspeed else {"airspeed.type": ""}
+    identifier = make_identifier(told, **settings)
+    rng, u, began = np.random.default_rng(seed), np.zeros(4), False
+    rows: list[FloatArray] = []
+    sources: set[tuple[str, ...]] = set()
+    died = None
+    try:
+        for _ in range(round(DURATION * SENSORS.rate)):
+            sample = live.sample()
+            t = sample.time
+            t_ns = EPOCH_NS + round((t + hazard.clock(t)) * 1e9)
+            roll, pitch = map(float, sample.attitude[:2])
+            reference = guide.rates(t, roll, pitch, live.period)
+            rates = hazard.imu(t, sample.measured_rates, rng)
+            if rates is not None:
+                u = controller.update(t_ns, rates, reference)
+                u = controller.inject(t_ns, u, hazard.excitation(t))
+            live.command((told.trim + u)[:3])
+            if t >= hazard.dead[1] > 0.0 and not began:
+                began = True
+                fresh = make_identifier(told, **settings)
+                identifier = OnlineIdentifier(fresh.settings) if hazard.cold else fresh
+            if adaptive and not hazard.dead[0] < t < hazard.dead[1]:
+                if hazard.airspeed and (measured := sample.measured_airspeed) is not None:
+                    identifier.add_airspeed(t_ns, measured)
+                identifier.add_actuators(t_ns, live.outputs.tolist())
+                if rates is not None:
+                    force = sample.measured_force.tolist()
+                    identifier.add_rates(t_ns, rates.tolist(), force)
+                for estimate in identifier.advance():
+                    for one in hazard.messages(t, message_of(identifier, estimate), rng):
+                        source.add(one)
+            rows.append(np.array([t, *(sample.rates - reference)]))
+            sources.add(controller.effect.sources)
+            live.advance()
+    except SimulationError:
+        died = live.time
+    flown = np.array(rows)
+    errors = [
+        np.degrees(np.sqrt(np.mean(flown[(flown[:, 0] >= a) & (flown[:, 0] < b), 1:] ** 2, axis=0)))
+        for a, b in SPANS
+        if died is None
+    ]
+    return {
+        "lost": died,
+        "errors": [error.tolist() for error in errors],
+        "sources": [sorted(set(axis)) for axis in zip(*sources, strict=True)],
+    }
+
+
+def line(flight: dict[str, Any]) -> str:
+    """Errors of roll, pitch and yaw in the spans, or when the aircraft was lost."""
+    if flight["lost"] is not None:
+        return f"**lost** at {flight['lost']:.0f} s"
+    return ", ".join(" / ".join(f"{x:.1f}" for x in error) for error in flight["errors"][1:])
+
+
+def lines(found: dict[str, dict[str, Any]]) -> Iterator[str]:
+    """Table of all flights."""
+    spans = " and ".join(f"{a:.0f} to {b:.0f}" for a, b in SPANS[1:])
+    head = ("hazard", "aircraft", f"adaptive, deg/s, {spans} s", "INDI, fixed", "flown on")
+    rows = []
+    for key, (adaptive, fixed) in found.items():
+        hazard, aircraft = key.split(": ")
+        on = "; ".join(", ".join(axis) for axis in adaptive["sources"])
+        rows.append((hazard, aircraft, line(adaptive), line(fixed), on))
+    yield from bench.table(head, rows)
+    worse = [k for k, (a, f) in found.items() if a["lost"] is not None and f["lost"] is None]
+    yield f"lost where the fixed loop survives: {', '.join(worse) or 'none'}"
+
+
+def main() -> None:
+    """Fly the hazards."""
+    parser = bench.parser(__doc__, seed=3, output=bench.BUILD / "loop_hazards.json")
+    parser.add_argument("aircraft", nargs="*", default=AIRCRAFT[:1])
+    parser.add_argument("--hazard", action="append", choices=list(HAZARDS), help="default: all")
+    options = parser.parse_args()
+    found: dict[str, Any] = {}
+    bench.BUILD.mkdir(exist_ok=True)
+    with ProcessPoolExecutor(1) as pool:
+        fleet = Fleet(bench.BUILD, pool)
+        for hazard in options.hazard or HAZARDS:
+            for name in options.aircraft:
+                prepared, factors = fleet[name]
+                try:
+                    pair = [
+                        fly(prepared, factors[who], who == ADAPTIVE, HAZARDS[hazard], options.seed)
+                        for who in (ADAPTIVE, "INDI")
+                    ]
+                except SimulationError as error:  # it cannot fly at that speed
+                    print(hazard, name, error, sep="  ", flush=True)
+                    continue
+                found[f"{hazard}: {name}"] = pair
+                print(hazard, name, *map(line, pair), sep="  ", flush=True)
+    bench.keep(options.output, found)
+    print("\n".join(lines(found)))
+
+
+if __name__ == "__main__":
+    main()
