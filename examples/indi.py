@@ -52,6 +52,8 @@ class Indi(Node):
         t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
+        if not np.isfinite(x - self.reference).all():  # the surfaces stay where they are
+            return
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
         acting, led = self.sent.at(t_ns - DELAY_NS) or (np.zeros(4), self.reference)
         if not 0.0 < dt < 0.1:  # the first sample, or a gap

@@ -49,6 +49,8 @@ class Inversion(Node):
         t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
+        if not np.isfinite(x - self.reference).all():  # the surfaces stay where they are
+            return
         model = self.source.model(t_ns)  # identified, or the last good set, or the nominal one
         effect = control_derivatives(model)[0]
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns

@@ -85,6 +85,8 @@ class Lqr(Node):
         t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
+        if not np.isfinite(x - self.reference).all():  # the surfaces stay where they are
+            return
         self.design(t_ns)
         u = np.clip(-self.gain @ (x - self.reference), -LARGEST, LARGEST)
         names = ["elevator", "rudder", "aileron"]

@@ -152,6 +152,9 @@ class ControllerExample(Node):
         rates = message.angular_velocity
         x = np.array([rates.x, rates.y, rates.z]) * FLU_TO_FRD
         reference = self._references.at(t_ns - self._reference_delay_ns)
+        if not np.isfinite(x if reference is None else x - reference).all():
+            words = "a rate or its reference is not finite: the surfaces stay where they are"
+            self.get_logger().warning(words, throttle_duration_sec=5.0)
         try:
             controller = self._ready(t_ns)
             u = controller.update(t_ns, x, np.zeros(3) if reference is None else reference)

@@ -45,6 +45,14 @@ def test_nothing_known_moves_nothing() -> None:
     assert not allocate(np.zeros((3, 4)), np.ones(3), LIMITS, SCALE).any()
 
 
+@pytest.mark.parametrize("where", ["effect", "wanted"])
+def test_what_is_not_finite_is_refused_and_not_searched_for_ever(where: str) -> None:
+    effect, wanted = EFFECT.copy(), np.zeros(3)
+    (effect[0] if where == "effect" else wanted)[0] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        allocate(effect, wanted, LIMITS, np.ones(3))
+
+
 def test_two_axes_at_their_limits_keep_their_own_inputs() -> None:
     """Slow, banked and nose-up: neither may give its surface away to the other."""
     effect = np.array([[0.0, 0.4, 1.8, 0.0], [-3.6, 0.0, 0.0, 0.0], [0.0, -0.4, 0.03, 0.0]])

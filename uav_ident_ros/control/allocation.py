@@ -27,7 +27,14 @@ def allocate(
     effect rests, and one at its limit leaves the rest to the others. An axis asks for no more than
     its own input gives, and weighs w, what that is of what it could do in full health, its
     `scale`. So an axis that has lost its surface, or is at its limit, cannot draw on another's.
+
+    Raises
+    ------
+    ValueError
+        If effect or acceleration are not finite: no inputs come closest.
     """
+    if not (np.isfinite(effect).all() and np.isfinite(wanted).all()):
+        raise ValueError("the control derivatives or the wanted acceleration are not finite")
     low, high = limits
     travel = np.where(high > low, high - low, 1.0)
     own = effect[AXES, MAINS]
