@@ -8,7 +8,7 @@ import pytest
 from plants import LIMITS, START, STRUCTURE, coefficients, controller, flown
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
-from uav_ident_ros.control import AxisChoice, Effectiveness, RateController
+from uav_ident_ros.control import AxisChoice, Effectiveness, IncrementalLaw, RateController
 from uav_ident_ros.control.effectiveness import SURE
 from uav_ident_ros.identification.structure import FloatArray
 
@@ -146,6 +146,17 @@ def test_a_wrongly_configured_delay_is_found_and_not_taken_for_another_effect(
         assert flying.delay.delay == pytest.approx(0.08, abs=0.011)
     if (steps, speed) == (8, 2.3):
         assert error < 0.3 * fixed  # which rings
+    assert (np.abs(flying.effect.share - 1.0) < 0.35).all()
+
+
+@pytest.mark.parametrize(("told", "true"), [(6, 2), (5, 2), (6, 6), (2, 2)])
+def test_a_delay_told_too_long_is_found_and_a_right_one_stays(told: int, true: int) -> None:
+    nominal = coefficients()
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal)
+    gains = IncrementalLaw.gains.times(1.5)
+    flying = RateController(source, nominal, LIMITS, told * 0.01, gains=gains)
+    flown(flying, 1.0, lambda s: turns(s) + 0.3 * manoeuvre(s), 12.0, noise=0.005, delay_steps=true)
+    assert flying.delay.delay == pytest.approx(0.01 * true, abs=0.011)
     assert (np.abs(flying.effect.share - 1.0) < 0.35).all()
 
 

@@ -9,9 +9,10 @@ compared with what the inputs should have made,
     jerk_f = g (B u(t - delay))'_f + d xdot_f
 
 for some delays at a time, each with the g and d of each axis that suit it best. The delay with the
-least residuals is believed once it is surely likelier than the present one. None is shorter than
-was told: gyro noise that the inputs answer looks like an effect without any delay, and inputs that
-act sooner than believed make no loop ring.
+least residuals is believed once it is surely likelier than the present one. Shorter ones than was
+told are compared, too: otherwise a delay that is a whole turn later would explain a loop that rings
+because its inputs act sooner than believed. None is shorter than 20 ms, but one that was told: gyro
+noise that the inputs answer looks like an effect without any delay.
 """
 
 import numpy as np
@@ -24,6 +25,9 @@ STEP = 0.01
 
 LATEST = 0.08
 """Largest delay beyond the told one, s: half a turn at 40 rad/s, faster than any of the laws."""
+
+SOONEST = 0.02
+"""Shortest delay that is compared if a longer one was told, s: gyro noise looks like none."""
 
 MEMORY = 5.0
 """Time in which the weight of what was measured falls to 1 / e, s: a delay is no fault that comes
@@ -47,8 +51,9 @@ class DelayMeter:
         self,
         assumed: float,  # What was told, s, to start with
     ) -> None:
-        self.delays = assumed + STEP * np.arange(round(LATEST / STEP) + 1)  # (n,) Compared, s
-        self.believed = 0  # Which of them it is
+        steps, sooner = round(LATEST / STEP), max(0, round((assumed - SOONEST) / STEP))
+        self.delays = assumed + STEP * np.arange(-sooner, steps + 1)  # (n,) Compared, s
+        self.believed = sooner  # Which of them it is
         self.restart()
 
     @property
