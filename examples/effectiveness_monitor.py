@@ -31,7 +31,7 @@ class EffectivenessMonitor(Node):
         self.trim = np.array(self.declare_parameter("trim", [0.0, 0.0, 0.0, 0.0]).value)
         self.source = CoefficientSource(Fallback.LAST_GOOD)
         self.response, self.measured = Response(), Effectiveness()
-        self.acting, self.last_ns = np.zeros(4), 0
+        self.acting, self.believed, self.last_ns = np.zeros(4), np.ones(3), 0
         subscribe(self, self.source)
         self.create_subscription(JointState, "actuators", self.on_actuators, 10)
         self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
@@ -51,12 +51,17 @@ class EffectivenessMonitor(Node):
         if not 0.0 < dt < 0.1:
             self.response.restart()
             self.measured.restart()
+            self.believed = np.ones(3)
             return
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
         effect, found = control_derivatives(model)[0], self.response
         if found.update(x, effect, self.acting[None], dt, model):
-            self.measured.update(found.answered[0], found.made[0], dt)
+            self.measured.update(found.answered[0], found.made[0], dt, believed=self.believed)
+            away = np.abs(self.measured.factor - self.believed)
+            changed = away > SIGMAS * self.measured.sigma
+            self.measured.begin(changed)
+            self.believed = np.where(changed, self.measured.factor, self.believed)
         for line in warnings(self.measured):
             self.get_logger().warning(line, throttle_duration_sec=PERIOD)
 
@@ -65,7 +70,7 @@ def warnings(measured: Effectiveness) -> list[str]:
     """Return what is to be said of the axes."""
     lines = []
     for i, axis in enumerate(AXES):
-        factor, sigma = measured.factor[i], measured.sigma[i]
+        factor, sigma = measured.since[i], measured.since_sigma[i]
         if measured.reversed[i]:
             lines.append(f"{axis}: the inputs act the other way")
         elif factor + SIGMAS * sigma < WEAK:

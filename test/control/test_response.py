@@ -56,6 +56,17 @@ def test_it_needs_to_know_what_the_flow_does() -> None:
     assert (unknown > 1.5 * known)[1:].all()
 
 
+def test_an_airspeed_that_nobody_knows_is_not_divided_by() -> None:
+    still = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.3, pitch=0.0, airspeed=0.0)
+    model, response = (
+        AttitudeModel(STRUCTURE, matrix(STRUCTURE, AIRCRAFT), STRUCTURE.mask, flow=still),
+        Response(),
+    )
+    for _ in range(3):
+        response.update(np.full(3, 0.1), np.ones((3, 4)), np.zeros((1, 4)), 0.01, model)
+    assert np.isfinite(response.answered).all()
+
+
 def test_the_own_motion_is_that_of_level_flight() -> None:
     """At the angle of attack that carries the aircraft, of which a roll makes sideslip."""
     true = matrix(STRUCTURE, AIRCRAFT)

@@ -74,8 +74,8 @@ class Coefficients:
         Raises
         ------
         MessageError
-            If entries are missing, of no known structure, or not finite, or if nobody can fly
-            at the airspeed.
+            If entries are missing, of no known structure, or not finite, or if the airspeed is
+            below zero.
         """
         count = len(message.name)
         if not len(message.position) == len(message.effort) == count:
@@ -164,8 +164,8 @@ def _structure_of(names: set[str]) -> Structure:
 
 def _flow(value: dict[str, float], sigma: dict[str, float]) -> FlowState:
     states = {field: value[f"state/{field}"] for field in STATE_FIELDS}
-    if not (np.isfinite(list(states.values())).all() and states["airspeed"] > 0.0):
-        raise MessageError("a state is not finite, or the airspeed is not above zero")
+    if not (np.isfinite(list(states.values())).all() and states["airspeed"] >= 0.0):
+        raise MessageError("a state is not finite, or the airspeed is below zero")
     return FlowState(**states, beta_sigma=sigma["state/beta"], alpha_sigma=sigma["state/alpha"])
 
 

@@ -158,7 +158,8 @@ class Effectiveness:
         parts = dt * sample[:, ::2], products, dt * demanded**2, np.full(3, dt)
         self._total[:-1] += np.vstack([part.reshape(-1, 3) for part in parts])
         self._age += dt
-        rest = answered - believed * made
+        surely = np.abs(self.factor - believed) > OUTLIER * self.sigma
+        rest = answered - np.where(surely, self.factor, believed) * made
         self._near_rest = keep * self._near_rest + rest
         power = dt * rest * (2.0 * self._near_rest - rest)
         self._rest += dt / min(self._age, REST_MEMORY) * (power - self._rest)

@@ -93,12 +93,17 @@ class Response:
     def _slopes(self, model: AttitudeModel) -> FloatArray:
         """Time derivatives of the states, (2, 6): the linear ones, and the weight in a bank."""
         slopes = self._states @ self._a.T
-        if model.flow is not None:
+        if _flies(model) and model.flow is not None:
             bank, weight = self._states[:, PHI], GRAVITY / model.flow.airspeed
             slopes[:, BETA] += weight * (np.sin(bank) - bank)
             slopes[:, ALPHA] += weight * (np.cos(bank) - 1.0)
             slopes[:, PHI] += ATTITUDE_GAIN * model.flow.roll
         return slopes
+
+
+def _flies(model: AttitudeModel) -> bool:
+    """Whether anybody knows an airspeed."""
+    return model.flow is not None and model.flow.airspeed > 0.0
 
 
 def own_motion(model: AttitudeModel) -> FloatArray:
@@ -107,10 +112,10 @@ def own_motion(model: AttitudeModel) -> FloatArray:
     Where nobody knows the airspeed it is that of the rates alone: in a turn sideslip would add up.
     """
     out = np.zeros((len(STATES), len(STATES)))
-    airspeed = math.inf if model.flow is None else model.flow.airspeed
+    airspeed = model.flow.airspeed if _flies(model) and model.flow is not None else math.inf
     level = level_flight(model.structure, model.values, airspeed)
     a, _ = linearise(model.structure, model.values, level)
-    known = AXES if model.flow is None else slice(0, len(a))
+    known = slice(0, len(a)) if _flies(model) else AXES
     out[known, known] = a[known, known]
     flow = np.array([BETA, ALPHA])
     out[flow, flow] -= 1.0 / FORGETTING
