@@ -3,7 +3,8 @@
 
 Forgetting cannot follow a surface that loses half its effect: fast enough for that, it lets
 everything else wander. So the residuals of the last seconds are held against one change at a time:
-of each control derivative, and of the constant moment. With unknown noise the likelihood ratio
+of each control derivative, of the constant moment, and of a whole row, as by another inertia or
+airspeed. With unknown noise the likelihood ratio
 against "nothing changed" is (1 - E)^(-m/2) for m samples, E the share of the residual that the
 change explains (generalised likelihood ratio; Basseville and Nikiforov, Detection of Abrupt
 Changes, 1993). Residuals and regressors are whitened first, since gusts are slow.
@@ -20,6 +21,7 @@ from uav_ident_ros.identification.estimators.information import MODEL_ERROR, POW
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.scales import (
+    DOUBTLESS,
     GUST_TIME,
     LOOK_TIME,
     MEMORY,
@@ -31,6 +33,8 @@ from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
     INPUTS,
+    MAIN_DERIVATIVES,
+    ROWS,
     BoolArray,
     FloatArray,
 )
@@ -40,6 +44,9 @@ WINDOW_TIME = HORIZONS[-1]
 
 REVERSED = 2.0
 """Change of a control derivative whose surface is reversed, relative to its value."""
+
+WHOLE_ROW = -1
+"""In the place of a column: all that moves in a row, by one share."""
 
 PASSED = 6.0
 """Time in which a step passes the regression's filter, to 2 %, times its cut-off."""
@@ -57,8 +64,8 @@ class Change(NamedTuple):
     """A coefficient that has changed."""
 
     row: int
-    column: int
-    size: float
+    column: int  # `WHOLE_ROW` for all of them
+    size: float  # Of a whole row relative to itself
     after: Regression  # The samples that lie after it, or very nearly
 
 
@@ -83,15 +90,17 @@ class ChangeDetector:
         self._cutoff = cutoff
         # Throttle acts through the propeller's speed: its column has no single true value.
         surfaces = [label != "dth" for label in INPUTS]
-        self._row, column = np.nonzero(free[:, INPUT_COLUMNS] & surfaces)
-        self._column = INPUT_COLUMNS.start + column
-        self._places = self._row, column  # among the control derivatives
-        self._rivals = self._row[:, None] == self._row  # of each control derivative, in its row
+        self._places = row, column = np.nonzero(free[:, INPUT_COLUMNS] & surfaces)
+        # What may change: control derivatives, and then each row as a whole
+        self._row = np.append(row, range(len(ROWS)))
+        self._column = np.append(INPUT_COLUMNS.start + column, np.full(len(ROWS), WHOLE_ROW))
+        self._surfaces = self._column != WHOLE_ROW
+        # Of each the control derivatives in its row
+        self._rivals = (self._row[:, None] == self._row) & self._surfaces
         self._has_constant = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
         self._window: deque[Regression] = deque()
         self._time = self._since_look = 0.0
-        # of each control derivative: integral of the square of what it seemed to do, and of its
-        # input's
+        # Of each: integral of the square of what it seemed to do, and of its input's
         self._energy = self._power = np.zeros(len(self._row))
         # Of the looks of the last `WINDOW_TIME`: energy, power, and what was known
         self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
@@ -122,7 +131,8 @@ class ChangeDetector:
         """Return what has changed, one coefficient a row at most.
 
         A motor that loses thrust steps a constant moment, and the controller answers with a step of
-        its inputs, which looks like a slope. Where the step explains more, it is the constant.
+        its inputs, which looks like a slope. Where the step explains more, it is the constant, and
+        where a row explains clearly more than any control derivative, all of it.
 
         Parameters
         ----------
@@ -138,10 +148,16 @@ class ChangeDetector:
         signals = np.concatenate([samples.signals for samples in self._window])
         window = Regression(signals, newest.rows, newest.dt)
         residual = _whitened(window.residual(coefficients)[:, :3], window.dt)
-        regressors = _whitened(window.f[:, self._column], window.dt)
+        surfaces, rows = self._column[self._surfaces], coefficients[: len(ROWS)]
+        moved = np.hstack((window.f[:, surfaces], window.f @ rows.T))
+        regressors = _whitened(moved, window.dt)
         size, power, explained, noise = _fitted(regressors, residual[:, self._row])
-        known = np.abs(coefficients[self._row, self._column])
-        sigma = sigma[self._places]
+        known = np.append(np.abs(rows[self._places[0], surfaces]), np.ones(len(ROWS)))
+        # A row is known as its main input is, and by the noise of what it makes.
+        main = MAIN_DERIVATIVES
+        relative = _ratio(sigma[main[0], main[1] - INPUT_COLUMNS.start], np.abs(rows[main]))
+        relative[rows[main] == 0.0] = np.inf
+        sigma = np.append(sigma[self._places], np.hypot(relative, noise[~self._surfaces]))
         self._newest.append((size * size * power, power, sigma))
         unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
         usual = self._usual()
@@ -149,17 +165,22 @@ class ChangeDetector:
         sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
         # No failure changes more than a reversed surface; what a damper answers to gusts seems to.
         sure &= np.abs(size) <= REVERSED * known + SURE * unsure
+        # Something is left of a whole row, and of the sign that it had.
+        sure &= self._surfaces | (known + size > SURE * unsure)
         # What the residual rather owes to another input, be its effect unknown, is no change.
         left = np.maximum(1.0 - explained, ROUNDING)
         rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
         owed = len(residual) * np.log(left / rivals) > OUTLYING
+        # A surface that is excited alone is nearly all of its row: it has changed, not the row.
+        surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
+        owed |= ~self._surfaces & (len(residual) * np.log(surface / left) <= DOUBTLESS**2)
         # The slope along an input that hardly moves tells nothing.
         tells = noise < np.hypot(unsure, usual)
         self._follow_seeming(np.abs(size), unsure, np.maximum(usual, noise), sure & ~owed, tells)
-        explained = np.where(sure & ~owed, explained, 0.0)
-        changes = []
         # More than all else together: what an autopilot answers to a storm explains up to 0.4.
-        for row in sorted({*self._row[explained >= 1.0 - explained].tolist()}):
+        explained = np.where(sure & ~owed & (explained >= 1.0 - explained), explained, 0.0)
+        changes = []
+        for row in sorted({*self._row[explained > 0.0].tolist()}):
             best = int(np.where(self._row == row, explained, 0.0).argmax())
             column, by, first = self._column[best], size[best], len(signals) // 2
             share, step, passed = self._step(residual[:, row], window.dt)
@@ -190,8 +211,9 @@ class ChangeDetector:
         before = np.minimum(self._usual_before, np.where(sure, usual, np.inf))
         still = size > ACQUITTED * np.hypot(unsure, before)
         self._usual_before[tells] = np.where(still, before, np.inf)[tells]
-        row, column = self._places
-        self.seeming[row[tells], column[tells]] = np.where(still, size, 0.0)[tells]
+        tells, (row, column) = tells[self._surfaces], self._places
+        seeming = np.where(still, size, 0.0)[self._surfaces]
+        self.seeming[row[tells], column[tells]] = seeming[tells]
 
     def _usual(self) -> FloatArray:
         """Return the usual size of what seems to change, rms: model errors come and go.

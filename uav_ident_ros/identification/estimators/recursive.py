@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
+from uav_ident_ros.identification.estimators.change import WHOLE_ROW, Change, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information, Solution
 from uav_ident_ros.identification.estimators.model_error import ModelError, sigma_beside
@@ -342,48 +342,54 @@ class RecursiveRegression:
             linear = self._layout.matrix(self._known[0].linear[1])
             sigma = self._settled_sigma[: len(ROWS), INPUT_COLUMNS]
             for change in self._detector.look(linear, sigma):
-                self.changes.append((change.row, change.column))
+                whole = change.column == WHOLE_ROW
+                column = int(MAIN_COLUMNS[change.row]) if whole else change.column
+                self.changes.append((change.row, column))
                 self._release(change)
 
     def _release(self, change: Change) -> None:
         """Forget what a regressor did in one row, and learn it anew from after the change.
 
         What a surface loses of its moment it loses of its force, too: a moment is whole only with
-        the force of the same surface.
+        the force of the same surface. Of a whole row all but the ratios of inertias has moved.
         """
-        row, column = change.row, change.column
-        before = self._known[0].linear[1]
-        effect = before[row, self._layout.index[row] == column]
-        self._reset(row, column, change.size, change.after)
+        row, column, size = change.row, change.column, change.size
+        before, columns = self._known[0].linear[1], self._layout.place[..., 1]
+        if column == WHOLE_ROW:
+            moves = columns[row] >= RATE_COLUMNS.start
+            self._reset(row, moves * size * before[row], change.after)
+        else:
+            moves = columns[row] == column
+            effect = before[row, moves]
+            self._reset(row, moves * size, change.after)
         for flow in self._structure.flow:
             if column in flow.others:
-                at = self._layout.place[flow.force, :, 1] == column
-                size = (before[flow.force, at] / effect * change.size).item()
-                self._reset(flow.force, column, size, change.after)
+                by_force = (columns[flow.force] == column) * before[flow.force]
+                self._reset(flow.force, by_force / effect * size, change.after)
         self._error.forget(row)
         self._since_sigma = np.inf
 
-    def _reset(self, row: int, column: int, size: float, samples: Regression) -> None:
-        """Reset the covariance of a coefficient that moved by `size`, and learn `samples` again.
+    def _reset(self, row: int, moved: FloatArray, samples: Regression) -> None:
+        """Reset the covariance of coefficients that `moved` by so much, and learn `samples` again.
 
-        Of all that was known before, the covariance of this coefficient and of the row's
-        constant, which takes up part of any change about a trim, are set to what a change by so
-        much allows.
+        Of all that was known before, the covariances of these, (k,), and of the row's constant,
+        which takes up part of any change about a trim, are set to what a change by so much allows.
         """
         information, weak = self.information, weak_sigma(self._structure)
-        # Nothing from before the flight holds the coefficient where it was.
+        rows, columns = np.moveaxis(self._layout.place[row], -1, 0)
+        moved = moved * information.free[row]
+        at = rows[moved != 0.0], columns[moved != 0.0]
+        # Nothing from before the flight holds the coefficients where they were.
         sigma = self._start.sigma.copy()
-        sigma[row, column] = weak[row, column]
+        sigma[at] = weak[at]
         self.start = replace(self._start, sigma=sigma)
         known, covariances = self._known  # whitened
         mean, transform = known.linear[1, row].copy(), known.transform[row]
         covariance = transform @ covariances[1, row] @ transform.T
-        rows, columns = np.moveaxis(self._layout.place[row], -1, 0)
-        changed = (columns == column) & information.free[row]
-        mean[changed] += size
+        mean += moved
         own = (rows == row) & (columns == CONSTANT_COLUMN)
         constant = np.where(own, sigma[row, columns], 0.0)
-        covariance += np.diag(constant**2 + changed * size**2)
+        covariance += np.diag(constant**2 + moved**2)
         sums = information.sums_of().copy()
         sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
         after = RowSamples.of(samples, self.residual(samples), self._layout)
