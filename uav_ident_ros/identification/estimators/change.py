@@ -149,7 +149,7 @@ class ChangeDetector:
         window = Regression(signals, newest.rows, newest.dt)
         residual = _whitened(window.residual(coefficients)[:, :3], window.dt)
         surfaces, rows = self._column[self._surfaces], coefficients[: len(ROWS)]
-        moved = np.hstack((window.f[:, surfaces], window.f @ rows.T))
+        moved = np.hstack((window.f[:, surfaces], window.z @ rows.T))
         regressors = _whitened(moved, window.dt)
         size, power, explained, noise = _fitted(regressors, residual[:, self._row])
         known = np.append(np.abs(rows[self._places[0], surfaces]), np.ones(len(ROWS)))
