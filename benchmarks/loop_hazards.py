@@ -88,7 +88,8 @@ def gaps(length: float, period: float) -> Callable[..., FloatArray | None]:
 
 def excited(t: float) -> FloatArray:
     """Excitation that is aborted in the middle of a swing."""
-    return (10.0 < t < 20.3) * np.array([0.04, 0.04, 0.05, 0.0]) * np.sin([9 * t, 7 * t, 11 * t, 0])
+    swing = np.array([0.04, 0.04, 0.05, 0.0]) * np.sin([9 * t, 7 * t, 11 * t, 0])
+    return np.asarray((10.0 < t < 20.3) * swing)
 
 
 HALVED = ("20: aileron effect 0.5",)
@@ -152,7 +153,7 @@ def fly(
         gains=IncrementalLaw.gains.times(factor),
     )  # fmt: skip
     guide = Manoeuvres(**NORMAL | {"airspeed": airframe(name, speed).speed, "seed": seed})
-    settings = {"actuators.delay": hazard.told}
+    settings: dict[str, Any] = {"actuators.delay": hazard.told}
     settings |= {} if hazard.airspeed else {"airspeed.type": ""}
     identifier = make_identifier(told, **settings)
     rng, u, began = np.random.default_rng(seed), np.zeros(4), False
@@ -210,7 +211,7 @@ def line(flight: dict[str, Any]) -> str:
     return ", ".join(" / ".join(f"{x:.1f}" for x in error) for error in flight["errors"][1:])
 
 
-def lines(found: dict[str, dict[str, Any]]) -> Iterator[str]:
+def lines(found: dict[str, list[dict[str, Any]]]) -> Iterator[str]:
     """Table of all flights."""
     spans = " and ".join(f"{a:.0f} to {b:.0f}" for a, b in SPANS[1:])
     head = ("hazard", "aircraft", f"adaptive, deg/s, {spans} s", "INDI, fixed", "flown on")

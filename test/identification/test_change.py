@@ -3,10 +3,20 @@
 
 import numpy as np
 import pytest
+from flying import identified
+from light_aircraft import TRUTH, LightFlight
 
-from uav_ident_ros.identification.estimators.change import Change, ChangeDetector, _whitened
+from uav_ident_ros.identification.estimators.change import (
+    WHOLE_ROW,
+    Change,
+    ChangeDetector,
+    _whitened,
+)
 from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.structure import CONSTANT_COLUMN, STRUCTURES
+from uav_ident_ros.identification.structure import CONSTANT_COLUMN, ROWS, STRUCTURES
+from uav_ident_ros.simulation.flight import CoefficientChange
+from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Sensors, measure
 
 STRUCTURE = STRUCTURES["augmented"]
 ELEVATOR = np.zeros((3, STRUCTURE.size))
@@ -110,6 +120,37 @@ def test_no_failure_changes_more_than_a_reversed_surface(change: float, noticed:
         data = elevator_means(chance, u, more, noise * 3.0 * change**2 + 0.05)
         found += update(detector, data, np.full((3, 4), 1.0))
     assert (found[:1] == [(1, 8)]) == noticed
+
+
+@pytest.mark.parametrize("share", [0.6, 1.5])
+def test_a_row_that_changes_by_one_share_is_found_as_a_whole(share: float) -> None:
+    """As by another inertia: no control derivative explains what damping has lost."""
+    chance, detector = np.random.default_rng(3), ChangeDetector(STRUCTURE.mask, 15.0)
+    row, found = ELEVATOR.copy(), []
+    row[1, 6] = -5.0
+    for k in range(1400):
+        f = np.zeros((10, STRUCTURE.size))
+        f[:, 8], f[:, 6] = 0.03 * chance.normal(), 0.15 * chance.normal()
+        y = (share if k >= 1200 else 1.0) * f @ row.T + 0.05 * chance.normal(size=3)
+        if detector.add(Regression.of(y, f, f, 0.005).means()):
+            found += [(k, change) for change in detector.look(row, EXACT)]
+    (noticed, change), *_ = found
+    assert (change.row, change.column) == (1, WHOLE_ROW)
+    assert change.size == pytest.approx(0.6 * (share - 1.0), rel=0.5)  # of half the window or more
+    assert 1200 < noticed < 1300
+
+
+def test_of_another_inertia_all_is_known_again_in_seconds() -> None:
+    """Damping follows at once, not by forgetting."""
+    segment = Segment("multisine", 2.0, 100.0, {"de": 0.06, "dr": 0.08, "da": 0.06}, seed=2)
+    heavier = CoefficientChange(40.0, dict.fromkeys(ROWS, 1.4))
+    flight = LightFlight((segment,), 55.0, seed=2, bank=20.0, gust=0.1, changes=(heavier,)).fly()
+    m = measure(flight, Sensors(gyro_noise=0.01, accelerometer_noise=0.15), 2)
+    flown, (*_, last) = identified(m)
+    assert {c.name for c in flown.supervisor.changed} == {"pdot/da", "qdot/de", "rdot/dr"}
+    for name in ("pdot/da", "pdot/p", "qdot/de", "qdot/q", "rdot/dr"):
+        place = flown.structure.index(name)
+        assert last.coefficients[place] == pytest.approx(1.4 * TRUTH[name], rel=0.15), name
 
 
 def test_what_noise_hides_of_a_change_seems_to_change_until_it_is_learned() -> None:
