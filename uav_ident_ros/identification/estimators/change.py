@@ -45,9 +45,6 @@ WINDOW_TIME = HORIZONS[-1]
 REVERSED = 2.0
 """Change of a control derivative whose surface is reversed, relative to its value."""
 
-WHOLE_ROW = -1
-"""In the place of a column: all that moves in a row, by one share."""
-
 PASSED = 6.0
 """Time in which a step passes the regression's filter, to 2 %, times its cut-off."""
 
@@ -64,7 +61,7 @@ class Change(NamedTuple):
     """A coefficient that has changed."""
 
     row: int
-    column: int  # `WHOLE_ROW` for all of them
+    column: int | None  # None for all that moves in the row, by one share
     size: float  # Of a whole row relative to itself
     after: Regression  # The samples that lie after it, or very nearly
 
@@ -93,8 +90,8 @@ class ChangeDetector:
         self._places = row, column = np.nonzero(free[:, INPUT_COLUMNS] & surfaces)
         # What may change: control derivatives, and then each row as a whole
         self._row = np.append(row, range(len(ROWS)))
-        self._column = np.append(INPUT_COLUMNS.start + column, np.full(len(ROWS), WHOLE_ROW))
-        self._surfaces = self._column != WHOLE_ROW
+        self._column = INPUT_COLUMNS.start + column
+        self._surfaces = np.arange(len(self._row)) < len(column)
         # Of each the control derivatives in its row
         self._rivals = (self._row[:, None] == self._row) & self._surfaces
         self._has_constant = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
@@ -148,11 +145,11 @@ class ChangeDetector:
         signals = np.concatenate([samples.signals for samples in self._window])
         window = Regression(signals, newest.rows, newest.dt)
         residual = _whitened(window.residual(coefficients)[:, :3], window.dt)
-        surfaces, rows = self._column[self._surfaces], coefficients[: len(ROWS)]
-        moved = np.hstack((window.f[:, surfaces], window.z @ rows.T))
+        rows = coefficients[: len(ROWS)]
+        moved = np.hstack((window.f[:, self._column], window.z @ rows.T))
         regressors = _whitened(moved, window.dt)
         size, power, explained, noise = _fitted(regressors, residual[:, self._row])
-        known = np.append(np.abs(rows[self._places[0], surfaces]), np.ones(len(ROWS)))
+        known = np.append(np.abs(rows[self._places[0], self._column]), np.ones(len(ROWS)))
         # A row is known as its main input is, and by the noise of what it makes.
         main = MAIN_DERIVATIVES
         relative = _ratio(sigma[main[0], main[1] - INPUT_COLUMNS.start], np.abs(rows[main]))
@@ -182,12 +179,13 @@ class ChangeDetector:
         changes = []
         for row in sorted({*self._row[explained > 0.0].tolist()}):
             best = int(np.where(self._row == row, explained, 0.0).argmax())
-            column, by, first = self._column[best], size[best], len(signals) // 2
+            column = int(self._column[best]) if self._surfaces[best] else None
+            by, first = size[best], len(signals) // 2
             share, step, passed = self._step(residual[:, row], window.dt)
             if self._has_constant[row] and share > explained[best]:
                 column, by, first = CONSTANT_COLUMN, step, passed
             after = Regression(signals[first:], window.rows, window.dt)
-            changes.append(Change(row, int(column), float(by), after))
+            changes.append(Change(row, column, float(by), after))
             self.seeming[row] = 0.0
             self._usual_before[self._row == row] = np.inf
         if changes:

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.change import WHOLE_ROW, Change, ChangeDetector
+from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information, Solution
 from uav_ident_ros.identification.estimators.model_error import ModelError, sigma_beside
@@ -342,9 +342,8 @@ class RecursiveRegression:
             linear = self._layout.matrix(self._known[0].linear[1])
             sigma = self._settled_sigma[: len(ROWS), INPUT_COLUMNS]
             for change in self._detector.look(linear, sigma):
-                whole = change.column == WHOLE_ROW
-                column = int(MAIN_COLUMNS[change.row]) if whole else change.column
-                self.changes.append((change.row, column))
+                column = MAIN_COLUMNS[change.row] if change.column is None else change.column
+                self.changes.append((change.row, int(column)))
                 self._release(change)
 
     def _release(self, change: Change) -> None:
@@ -355,7 +354,7 @@ class RecursiveRegression:
         """
         row, column, size = change.row, change.column, change.size
         before, columns = self._known[0].linear[1], self._layout.place[..., 1]
-        if column == WHOLE_ROW:
+        if column is None:
             moves = columns[row] >= RATE_COLUMNS.start
             self._reset(row, moves * size * before[row], change.after)
         else:
