@@ -16,12 +16,14 @@ import numpy as np
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.regression import Layout, Regression, RowSamples
 from uav_ident_ros.identification.residuals import NoiseModel
-from uav_ident_ros.identification.scales import SURE
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME, SURE
 from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, ROWS, BoolArray
 
 
 class FreshStart:
     """An estimator that learns from now on, beside the one in use.
+
+    It learns `INDEPENDENT_TIME` at once: an update costs the same for few samples as for many.
 
     Parameters
     ----------
@@ -43,9 +45,20 @@ class FreshStart:
     def __init__(self, make: Callable[[], Estimator], layout: Layout) -> None:
         self._layout = layout
         self.estimator, self.noise, self.time = make(), NoiseModel(layout.rows), 0.0
+        self._gathered: list[Regression] = []
 
     def add(self, samples: Regression) -> None:
-        """Learn from samples."""
+        """Take samples."""
+        if self._gathered and not self._gathered[-1].continued_by(samples):
+            self._learn()
+        self._gathered.append(samples)
+        if sum(part.time for part in self._gathered) >= INDEPENDENT_TIME:
+            self._learn()
+
+    def _learn(self) -> None:
+        """Learn from what was gathered."""
+        samples = Regression.join(self._gathered)
+        self._gathered = []
         rows = RowSamples.of(samples, self.estimator.residual(samples), self._layout)
         white = self.noise.whiten(rows, restarted=samples.restarted)
         self.estimator.update(samples, rows, white, np.ones(len(ROWS)))

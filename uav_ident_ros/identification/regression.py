@@ -16,7 +16,7 @@ angle::
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Self
 
@@ -217,6 +217,15 @@ class Regression:
     def of(cls, y: FloatArray, f: FloatArray, z: FloatArray, dt: float, **flags: bool) -> Self:
         """Return the samples of y, f and z."""
         return cls(np.concatenate((y, f, z), axis=1), y.shape[1], dt, **flags)
+
+    @classmethod
+    def join(cls, parts: Sequence[Regression]) -> Regression:
+        """Return samples that follow one another as one."""
+        return replace(parts[0], signals=np.concatenate([part.signals for part in parts]))
+
+    def continued_by(self, more: Regression) -> bool:
+        """Return whether more samples go on as these, so that both can be joined."""
+        return not more.restarted and (more.dt, more.injected) == (self.dt, self.injected)
 
     def means(self) -> Regression:
         """Return the means over stretches of `SAMPLE_TIME`, or nearly."""
