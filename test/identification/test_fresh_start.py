@@ -58,7 +58,7 @@ def knowing(*t_ratios: float) -> Any:
     """An estimator whose main control derivatives have these t-ratios."""
     coefficients, sigma = np.zeros(FLIGHT.mask.shape), np.ones(FLIGHT.mask.shape)
     coefficients[MAIN_DERIVATIVES] = t_ratios
-    return SimpleNamespace(coefficients=coefficients, sigma=sigma)
+    return SimpleNamespace(coefficients=coefficients, sigma=sigma, model_error=np.zeros(3))
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from uav_ident_ros.identification.estimators import Estimator
+from uav_ident_ros.identification.estimators.model_error import sigma_beside
 from uav_ident_ros.identification.regression import Layout, Regression, RowSamples
 from uav_ident_ros.identification.residuals import NoiseModel
 from uav_ident_ros.identification.scales import INDEPENDENT_TIME, SURE
@@ -74,6 +75,10 @@ class FreshStart:
 
 
 def known_inputs(estimator: Estimator, t_ratio: float = SURE) -> BoolArray:
-    """Return which main control derivatives are known to so many sigma, (3,)."""
+    """Return which main control derivatives are known to so many sigma, model errors apart, (3,).
+
+    A servo lag that nobody has told is no other aircraft.
+    """
     value, sigma = estimator.coefficients[MAIN_DERIVATIVES], estimator.sigma[MAIN_DERIVATIVES]
-    return np.asarray((sigma > 0.0) & (np.abs(value) >= t_ratio * sigma))
+    chance = sigma_beside(sigma, value, estimator.model_error)
+    return np.asarray((sigma > 0.0) & (np.abs(value) >= t_ratio * chance))
