@@ -524,7 +524,9 @@ class OnlineIdentifier:
         fresh.add(samples)
         if fresh.time < JUDGED_FROM:
             return
-        if fresh.tells_more(self.estimator, self.settings.supervision.min_t_ratio):
+        t_ratio = self.settings.supervision.min_t_ratio
+        # A wrong setting makes derivatives unknown, and would for the fresh estimator.
+        if fresh.tells_more(self.estimator, t_ratio) and not any(self.setup_doubts):
             # All that was drawn from the time before was drawn from another aircraft.
             self.estimator, self._noise = fresh.estimator, fresh.noise
             self._learned_time = fresh.time
