@@ -11,9 +11,9 @@ from light_aircraft import TRUTH
 from verdict_flights import carried
 
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
-from uav_ident_ros.identification.fresh_start import FreshStart
+from uav_ident_ros.identification.fresh_start import known_inputs
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, STRUCTURES
+from uav_ident_ros.identification.structure import STRUCTURES
 
 CARRIED = 20.0
 """Time in which it is carried, s."""
@@ -54,27 +54,22 @@ def test_an_estimator_of_ones_own_that_there_is_once_learns_once() -> None:
     np.testing.assert_array_equal(once.coefficients, usual.coefficients)
 
 
-def knowing(*t_ratios: float) -> Any:
-    """An estimator whose main control derivatives have these t-ratios."""
+def knowing(t_ratio: float, model_error: float = 0.0) -> Any:
+    """An estimator whose rudder derivative has this t-ratio, model errors apart."""
     coefficients, sigma = np.zeros(FLIGHT.mask.shape), np.ones(FLIGHT.mask.shape)
-    coefficients[MAIN_DERIVATIVES] = t_ratios
-    return SimpleNamespace(coefficients=coefficients, sigma=sigma, model_error=np.zeros(3))
+    at = FLIGHT.index("rdot/dr")
+    coefficients[at] = t_ratio
+    sigma[at] = np.hypot(1.0, model_error * t_ratio)
+    return SimpleNamespace(
+        coefficients=coefficients, sigma=sigma, model_error=np.full(3, model_error)
+    )
 
 
 @pytest.mark.parametrize(
-    ("fresh", "used", "more"),
-    [
-        ((5.0, 5.0, 5.0), (1.0, 1.0, 1.0), True),
-        ((5.0, 1.0, 1.0), (1.0, 1.0, 1.0), True),
-        ((3.5, 1.0, 1.0), (1.0, 1.0, 1.0), False),  # not known well enough
-        ((5.0, 1.0, 1.0), (1.0, 1.0, 3.5), False),  # the rudder would be lost
-        ((5.0, 1.0, -5.0), (1.0, 1.0, 3.5), True),
-        ((5.0, 5.0, 5.0), (3.5, 3.5, 3.5), False),  # nothing is gained
-    ],
+    ("t_ratio", "model_error", "known"), [(3.5, 0.0, True), (3.5, 1.0, True), (2.5, 0.0, False)]
 )
-def test_it_must_know_all_that_was_known_and_more(
-    fresh: tuple[float, ...], used: tuple[float, ...], more: bool
+def test_a_lag_that_nobody_has_told_makes_nothing_unknown(
+    t_ratio: float, model_error: float, known: bool
 ) -> None:
-    beside = FreshStart.__new__(FreshStart)
-    beside.estimator = knowing(*fresh)
-    assert beside.tells_more(knowing(*used), 4.0) is more
+    """It is no other aircraft: there is nothing to begin anew for."""
+    assert known_inputs(knowing(t_ratio, model_error)).tolist() == [False, False, known]

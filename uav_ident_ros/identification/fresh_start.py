@@ -3,8 +3,7 @@
 
 An aircraft that taxies, or is carried to its launch, moves its surfaces and does not follow them. A
 cold start that has learned this holds it against the flight for minutes. Nobody need have told when
-it flies: the newest half minute alone then tells more than all of the time, which it never does
-while one aircraft is flown.
+it flies: the newest half minute alone then tells something where all of the time tells nothing.
 """
 
 from __future__ import annotations
@@ -64,14 +63,6 @@ class FreshStart:
         white = self.noise.whiten(rows, restarted=samples.restarted)
         self.estimator.update(samples, rows, white, np.ones(len(ROWS)))
         self.time += samples.time
-
-    def tells_more(self, used: Estimator, t_ratio: float) -> bool:
-        """Return whether it knows all main control derivatives that `used` knows, and another.
-
-        Known is to `t_ratio` sigma what is gained, and to `SURE` what would be lost.
-        """
-        gained, before = known_inputs(self.estimator, t_ratio), known_inputs(used, SURE)
-        return bool((gained & ~before).any() and not (before & ~gained).any())
 
 
 def known_inputs(estimator: Estimator, t_ratio: float = SURE) -> BoolArray:

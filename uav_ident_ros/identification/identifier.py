@@ -514,7 +514,7 @@ class OnlineIdentifier:
     def _begin_anew_beside(self, samples: Regression) -> None:
         """While a cold start has come to nothing, see whether the newest time alone tells more."""
         needless = self._warm or self._as_paper or self.supervisor.proven
-        if needless or known_inputs(self.estimator).all():
+        if needless or known_inputs(self.estimator).any():
             self._fresh = None
             return
         fresh = self._fresh or FreshStart(self._cold_estimator, self._layout)
@@ -524,9 +524,9 @@ class OnlineIdentifier:
         fresh.add(samples)
         if fresh.time < JUDGED_FROM:
             return
-        t_ratio = self.settings.supervision.min_t_ratio
+        told = known_inputs(fresh.estimator, self.settings.supervision.min_t_ratio).any()
         # A wrong setting makes derivatives unknown, and would for the fresh estimator.
-        if fresh.tells_more(self.estimator, t_ratio) and not any(self.setup_doubts):
+        if told and not any(self.setup_doubts):
             # All that was drawn from the time before was drawn from another aircraft.
             self.estimator, self._noise = fresh.estimator, fresh.noise
             self._learned_time = fresh.time
