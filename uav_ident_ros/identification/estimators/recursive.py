@@ -315,6 +315,7 @@ class RecursiveRegression:
             self.contradicted.append((row, int(MAIN_COLUMNS[row])))
         self.changes += self.contradicted
         self.start = self._start.doubted(self._structure, against)
+        self._since_sigma = np.inf
         if not self._start.told(self._structure).any():
             self._alone = None
 
