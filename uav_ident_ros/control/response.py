@@ -20,7 +20,7 @@ import numpy as np
 from uav_ident_ros.client import AttitudeModel
 from uav_ident_ros.control.allocation import MAINS
 from uav_ident_ros.control.reference import Smoother
-from uav_ident_ros.identification.flow import ATTITUDE_GAIN
+from uav_ident_ros.identification.flow import ATTITUDE_GAIN, FlowState
 from uav_ident_ros.identification.linearisation import STATES, level_flight, linearise
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import ROWS, FloatArray
@@ -93,17 +93,17 @@ class Response:
     def _slopes(self, model: AttitudeModel) -> FloatArray:
         """Time derivatives of the states, (2, 6): the linear ones, and the weight in a bank."""
         slopes = self._states @ self._a.T
-        if _flies(model) and model.flow is not None:
-            bank, weight = self._states[:, PHI], GRAVITY / model.flow.airspeed
+        if (flow := _known_flow(model)) is not None:
+            bank, weight = self._states[:, PHI], GRAVITY / flow.airspeed
             slopes[:, BETA] += weight * (np.sin(bank) - bank)
             slopes[:, ALPHA] += weight * (np.cos(bank) - 1.0)
-            slopes[:, PHI] += ATTITUDE_GAIN * model.flow.roll
+            slopes[:, PHI] += ATTITUDE_GAIN * flow.roll
         return slopes
 
 
-def _flies(model: AttitudeModel) -> bool:
-    """Whether anybody knows an airspeed."""
-    return model.flow is not None and model.flow.airspeed > 0.0
+def _known_flow(model: AttitudeModel) -> FlowState | None:
+    """Return the state of the flow; None where nobody knows an airspeed."""
+    return model.flow if model.flow is not None and model.flow.airspeed > 0.0 else None
 
 
 def own_motion(model: AttitudeModel) -> FloatArray:
@@ -112,12 +112,13 @@ def own_motion(model: AttitudeModel) -> FloatArray:
     Where nobody knows the airspeed it is that of the rates alone: in a turn sideslip would add up.
     """
     out = np.zeros((len(STATES), len(STATES)))
-    airspeed = model.flow.airspeed if _flies(model) and model.flow is not None else math.inf
+    flow = _known_flow(model)
+    airspeed = math.inf if flow is None else flow.airspeed
     level = level_flight(model.structure, model.values, airspeed)
     a, _ = linearise(model.structure, model.values, level)
-    known = slice(0, len(a)) if _flies(model) else AXES
+    known = AXES if flow is None else slice(0, len(a))
     out[known, known] = a[known, known]
-    flow = np.array([BETA, ALPHA])
-    out[flow, flow] -= 1.0 / FORGETTING
+    angles = np.array([BETA, ALPHA])
+    out[angles, angles] -= 1.0 / FORGETTING
     out[PHI, PHI] -= ATTITUDE_GAIN
     return out

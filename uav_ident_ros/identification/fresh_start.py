@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from uav_ident_ros.identification.estimators import Estimator
-from uav_ident_ros.identification.estimators.model_error import sigma_beside
+from uav_ident_ros.identification.estimators.model_error import known_beside
 from uav_ident_ros.identification.regression import Layout, Regression, RowSamples
 from uav_ident_ros.identification.residuals import NoiseModel
 from uav_ident_ros.identification.scales import INDEPENDENT_TIME, SURE
@@ -71,5 +71,5 @@ def known_inputs(estimator: Estimator, t_ratio: float = SURE) -> BoolArray:
     A servo lag that nobody has told is no other aircraft.
     """
     value, sigma = estimator.coefficients[MAIN_DERIVATIVES], estimator.sigma[MAIN_DERIVATIVES]
-    chance = sigma_beside(sigma, value, estimator.model_error)
-    return np.asarray((sigma > 0.0) & (np.abs(value) >= t_ratio * chance))
+    known = known_beside(sigma, value, estimator.model_error, t_ratio)
+    return np.asarray((sigma > 0.0) & known)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.estimators.information import POWERLESS
 from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
-from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME, ROUNDING
+from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME, ROUNDING, SURE
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
 ACQUITTED = 0.5 * DOUBTLESS
@@ -49,6 +49,13 @@ _BESIDE_LATENESS = (_SATURATION, _ATTENUATION)
 def sigma_beside(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
     """Return standard deviations without what a model error, relative to the value, has in them."""
     return np.asarray(np.sqrt(np.maximum(sigma**2 - (share * value) ** 2, 0.0)))
+
+
+def known_beside(
+    sigma: FloatArray, value: FloatArray, share: FloatArray, t_ratio: float = SURE
+) -> BoolArray:
+    """Return what is known to more than so many sigma, model errors apart."""
+    return np.asarray(np.abs(value) > t_ratio * sigma_beside(sigma, value, share))
 
 
 class ModelError:

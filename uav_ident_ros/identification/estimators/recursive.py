@@ -16,7 +16,7 @@ import numpy as np
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information, Solution
-from uav_ident_ros.identification.estimators.model_error import ModelError, sigma_beside
+from uav_ident_ros.identification.estimators.model_error import ModelError, known_beside
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
@@ -26,7 +26,6 @@ from uav_ident_ros.identification.scales import (
     OUTLYING,
     SHORT_MEMORY,
     START_TIME,
-    SURE,
 )
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
@@ -206,8 +205,7 @@ class RecursiveRegression:
     def _known_inputs(self) -> BoolArray:
         """Return of which rows the main input's effect is known, model errors apart, (3,)."""
         value, sigma = self.coefficients[MAIN_DERIVATIVES], self._settled_sigma[MAIN_DERIVATIVES]
-        chance = sigma_beside(sigma, value, self._error.share)
-        return np.asarray(np.abs(value) > SURE * chance)
+        return known_beside(sigma, value, self._error.share)
 
     def _influence(self, samples: Regression) -> float:
         """Factor of the instruments of injected samples, 0 ... 1.
