@@ -170,3 +170,18 @@ def test_a_short_lag_that_the_sum_leaves_open_denies_no_row(lag: float, usable: 
     for name in ("pdot/da", "qdot/de", "rdot/dr"):
         index = identifier.structure.index(name)
         assert last.coefficients[index] == pytest.approx(TRUTH[name], abs=2.0 * last.sigma[index])
+
+
+def test_no_lag_in_use_is_longer_than_the_sum() -> None:
+    """Two thirds too much of the aileron was usable for half of the flight."""
+    segments = (Segment("multisine", 2.0, 60.0, PEAKS, seed=4),)
+    flight = flight_of(LightFlight(segments, 60.0, gust=0.3, bank=20.0, delay=0.02, seed=4))
+    m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15))
+    pairs = zip(m.actuator_t_ns.tolist(), flight.injected.tolist(), strict=True)
+    added = [Message(t, "excitation", t, tuple(values)) for t, values in pairs]
+    told = {"actuators__time_constant": 0.05, "actuators__delay": 0.0}
+    identifier = OnlineIdentifier(settings(m, **told, actuators__estimate_delay=True))
+    *_, last = run(identifier, sorted([*messages(m), *added], key=lambda m: m.arrival_ns))
+    assert identifier.lag < 0.035
+    roll = identifier.structure.index("pdot/da")
+    assert last.coefficients[roll] == pytest.approx(TRUTH["pdot/da"], rel=0.25)

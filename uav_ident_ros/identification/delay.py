@@ -121,8 +121,13 @@ class DelayEstimate:
         return "sure" if self.sure else "low" if math.isfinite(self.sigma) else "none"
 
     def lag_off(self, lag: float) -> float:
-        """By how much a lag in use is too short, s; 0 where it is not known to be wrong."""
+        """By how much a lag in use is too short, s; 0 where it is not known to be wrong.
+
+        No lag is longer than the sum: no input acts before it is given.
+        """
         off = self.lag - lag
+        if self.lag_is_told and self.total_sure and lag - self.total > 2.0 * self.total_sigma:
+            return min(off, self.total - lag)
         return off if self.lag_sure and abs(off) > 2.0 * self.lag_sigma else 0.0
 
     def off(self, delay: float) -> float:
@@ -131,12 +136,23 @@ class DelayEstimate:
         wrong = self.rise >= DOUBTLESS and abs(off) > 2.0 * self.sigma
         return off if wrong else 0.0
 
+    def excess(self, lag: float) -> float:
+        """Servo lag in use that may not be there, s, rms by the odds.
+
+        No input acts before it is given: a delay below zero by more than its sigma is evidence
+        against the lag that it goes with. Any part of that, alike, may then be too much.
+        """
+        if not self.sure:
+            return 0.0
+        beyond = max(-self.delay / self.sigma - 1.0, 0.0)
+        return lag * math.sqrt((1.0 - math.exp(-0.5 * beyond**2)) / 3.0)
+
     def contradiction(self, delay: float, held: float = 0.0) -> str:
         """Return in words how a delay in use is off, s.
 
         Inputs that come seldom are `held` too long, s, and then seem to act early.
         """
-        off = self.off(delay)
+        off = self.delay - delay
         word = "later" if off > 0.0 else "earlier"
         cure = f"set 'actuators.delay' to {self.delay:.3f}"
         if self.delay < 0.0:

@@ -289,10 +289,10 @@ class OnlineIdentifier:
         if not self.settings.actuators.estimate_delay:
             return
         estimate, before = self.delays.estimate, (self.delay, self.lag)
-        if estimate.lag_off(self.lag):
-            self.sampler.time_constant = estimate.lag
+        if lag_off := estimate.lag_off(self.lag):
+            self.sampler.time_constant = self.lag + lag_off
             longest = self.settings.actuators.longest_delay
-            self.delays = DelayBank(longest, estimate.lag, self.delays)
+            self.delays = DelayBank(longest, self.lag, self.delays)
             self.sampler.delay = max(self.delays.estimate.delay, 0.0)
         elif estimate.sure:
             self.sampler.delay = max(self.delay + estimate.off(self.delay), 0.0)
@@ -647,6 +647,7 @@ class OnlineIdentifier:
             estimator.coefficients,
             delays,
             self.delay,
+            self.lag,
             self.delays.lost,
             estimator.height,
             lag_is_told=self.lag > 0.0 or not self.settings.actuators.estimate_delay,

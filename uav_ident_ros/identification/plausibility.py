@@ -530,6 +530,7 @@ class SetupErrors:
         values: FloatArray,
         estimate: DelayEstimate,
         delay: float,
+        lag: float,
         lost: Callable[[], FloatArray],
         height: float,
         *,
@@ -544,8 +545,8 @@ class SetupErrors:
             Coefficients.
         estimate : DelayEstimate
             What the flight says about the delay.
-        delay : float
-            Delay in use, s.
+        delay, lag : float
+            Delay and servo lag in use, s.
         lost : callable
             Returns the share of each input, (4,), that the lag takes away for which the delay may
             stand.
@@ -559,10 +560,12 @@ class SetupErrors:
         self._found = []
         if not self._structure.has_flow:
             return
-        if estimate.off(delay):
-            self._found.append(self._delay_error(values, estimate, delay, held()))
-        elif estimate.sure and not lag_is_told:
-            self._found.append(self._lag_error(values, estimate, delay, lost()))
+        late = max(abs(estimate.off(delay)), estimate.excess(lag))
+        if late:
+            reason = estimate.contradiction(delay, held())
+            self._found.append(SetupError(self._late(values, late), reason))
+        elif estimate.sure and (estimate.lag_is_told or not lag_is_told):
+            self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
         if height:
             self._found.append(self._height_error(values, height))
 
@@ -583,32 +586,21 @@ class SetupErrors:
                 reasons[row] = reasons[row] or found.reason
         return reasons
 
-    def _delay_error(
-        self, values: FloatArray, estimate: DelayEstimate, delay: float, held: float
-    ) -> SetupError:
-        """Return what a delay in use, s, does that the flight shows to be off.
-
-        Before an axis that settles with a, an input that comes T later than told looks like one of
-        an effect of 1 / (1 + a T): to first order the row is off by ``a T``.
-        """
-        off = estimate.off(delay)
-        return SetupError(self._late(values, off), estimate.contradiction(delay, held))
-
     def _lag_error(
-        self, values: FloatArray, estimate: DelayEstimate, delay: float, lost: FloatArray
+        self, values: FloatArray, estimate: DelayEstimate, in_use: float, lost: FloatArray
     ) -> SetupError:
-        """Return what a servo lag does that a delay in use, s, stands for.
+        """Return what a servo lag does that the delay stands for, with their sum `in_use`, s.
 
         The delay makes the input as late. What the lag T takes from it stays: ``1 / (1 + a T)``
         where damping makes up for it, else what is `lost` of the input. Where what is injected has
-        told the sum of delay and lag, only what the delay misses of it counts to first order:
+        told the sum of delay and lag, only what that in use misses of it counts to first order:
         a lag and as much of delay differ by ``(a T)^2 / 2``.
         """
         hidden, settles = estimate.hidden, self._settles(values)
         share, missed, cure = np.abs(hidden * settles), 0.0, "or excite the aircraft (~/excite)"
         if estimate.lag_is_told:
             share, cure = 0.5 * share**2, "or go on with the excitation"
-            missed = estimate.total - delay
+            missed = estimate.total - in_use
         errors = share[:, None] * np.abs(values[: len(ROWS)])
         inputs = errors[:, INPUT_COLUMNS]
         np.maximum(inputs, lost * np.abs(values[: len(ROWS), INPUT_COLUMNS]), out=inputs)
@@ -620,7 +612,11 @@ class SetupErrors:
         )
 
     def _late(self, values: FloatArray, time: float) -> FloatArray:
-        """By how much an input that comes so late, s, falsifies the moment rows, (3, n)."""
+        """By how much an input that comes so late, s, falsifies the moment rows, (3, n).
+
+        Before an axis that settles with a, an input that comes T later than told looks like one of
+        an effect of 1 / (1 + a T): to first order the row is off by ``a T``.
+        """
         share = np.abs(time * self._settles(values))
         return np.asarray(share[:, None] * np.abs(values[: len(ROWS)]))
 
