@@ -13,7 +13,7 @@ which is R^-1 r where the instruments are strong, and goes to the prior where th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -30,7 +30,7 @@ from uav_ident_ros.identification.scales import (
     SHORT_MEMORY,
     TINY,
 )
-from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, FlowRows, Structure
+from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, Structure
 
 FIRST_RESIDUAL_VARIANCE = 0.1
 """Residual variance until there is a measured one, rad^2/s^4: filtered gyro noise."""
@@ -56,39 +56,29 @@ _FROM_KAPPA = np.array([[1.0], [0.0]])
 class Sums:
     """What was accumulated; estimates beside one another are parts.
 
-    Parameters
-    ----------
-    table : (parts, rows, k (1 + 7 k) + 2) array
-        All of it, row by row: the attributes are views of it.
-    k : int
-        Coefficients of a row.
-
-    Attributes
-    ----------
-    products : (parts, rows, k, 1 + 2 k) array
-        Side by side, each times dt: ``r = sum z y``, ``R = sum z f^T``, ``S = sum z z^T``.
-    answers : (parts, rows, 3, k, k) array
-        ``sum q z z^T``, ``sum R^2 z z^T`` and the same of R^2 that is no chance, times dt, as
-        `Feedback` has them.
-    scores : (parts, rows, k, k) array
-        Sum of ``g g^T`` over blocks, ``g`` the sum of ``z e`` over a block, times dt.
-    power : (parts, rows, k, k) array
-        ``sum f f^T`` in the time with answers, times dt.
-    blocks, answer_time : (parts, rows) array
-        Number of blocks, and time with answers, by chance or not, s.
+    All of it is one table, row by row, of which the names are views.
     """
 
-    def __init__(self, table: FloatArray, k: int) -> None:
+    def __init__(
+        self,
+        table: FloatArray,  # (parts, rows, k (1 + 7 k) + 2)
+        k: int,  # Coefficients of a row
+    ) -> None:
         self.table, self.k = table, k
         shape, square = table.shape[:2], k * k
         first = k + 2 * square
+        # Side by side, each times dt: r = sum z y, R = sum z f^T, S = sum z z^T
         self.products = table[..., :first].reshape(*shape, k, 1 + 2 * k)
-        squares = table[..., first:-2].reshape(*shape, 5, k, k)
-        self.answers = squares[:, :, :3]
-        self.scores, self.power = squares[:, :, 3], squares[:, :, 4]
-        self.blocks, self.answer_time = table[..., -2], table[..., -1]
         self.zy, self.zf = self.products[..., :1], self.products[..., 1 : 1 + k]
         self.zz = self.products[..., 1 + k :]
+        squares = table[..., first:-2].reshape(*shape, 5, k, k)
+        # sum q z z^T, sum R^2 z z^T and the same of R^2 that is no chance, times dt: see `Feedback`
+        self.answers = squares[:, :, :3]
+        # Sum of g g^T over blocks, g the sum of z e over a block, times dt; and sum f f^T in the
+        # time with answers, times dt
+        self.scores, self.power = squares[:, :, 3], squares[:, :, 4]
+        # Number of blocks, and time with answers, by chance or not, s
+        self.blocks, self.answer_time = table[..., -2], table[..., -1]
 
     @classmethod
     def nothing(cls, parts: int, rows: int, k: int) -> Self:
@@ -99,24 +89,14 @@ class Sums:
         """Return some of the parts: views, not copies."""
         return Sums(self.table[parts], self.k)
 
-    def copy(self) -> Sums:
-        """Return an independent copy."""
-        return Sums(self.table.copy(), self.k)
-
     def add(
-        self, samples: RowSamples, weight: FloatArray, answering: FloatArray | None = None
+        self,
+        samples: RowSamples,
+        weight: FloatArray,  # (rows,) How much they count
+        # (rows, 3, k, k) What `answers` weighs each pair of instruments by, if anything answers
+        answering: FloatArray | None = None,
     ) -> FloatArray:
-        """Add samples of all parts; return the sum of ``z e`` times dt, (parts, rows, k).
-
-        Parameters
-        ----------
-        samples : RowSamples
-            The samples.
-        weight : (rows,) array
-            How much they count.
-        answering : (rows, 3, k, k) array, optional
-            What `answers` weighs each pair of instruments by; nothing answers without it.
-        """
+        """Add samples of all parts; return the sum of ``z e`` times dt, (parts, rows, k)."""
         k = self.k
         weighted = samples.z * (samples.dt * weight)[:, None, None]
         products = weighted.swapaxes(-1, -2) @ samples.signals
@@ -137,23 +117,14 @@ class Sums:
         self.scores *= keep[..., None, None]
 
     def set_known(
-        self, row: int, mean: FloatArray, covariance: FloatArray, free: BoolArray, unit: FloatArray
+        self,
+        row: int,
+        mean: FloatArray,  # (k,) Coefficients
+        covariance: FloatArray,  # (k, k)
+        free: BoolArray,  # (k,) Those that it is about
+        unit: FloatArray,  # (parts,) As `Information.unit`
     ) -> None:
-        """Let one row hold just this: a covariance reset.
-
-        Parameters
-        ----------
-        row : int
-            The row.
-        mean : (k,) array
-            Coefficients.
-        covariance : (k, k) array
-            Their covariance.
-        free : (k,) bool array
-            Those that it is about.
-        unit : (parts,) array
-            Residual variance times its correlation time, by which information counts.
-        """
+        """Let one row hold just this: a covariance reset."""
         pairs = np.ix_(free, free)
         precision = np.zeros_like(covariance)
         precision[pairs] = np.linalg.inv(covariance[pairs])
@@ -189,68 +160,37 @@ class Information:
     instruments begin as least squares for `SHORT_MEMORY`, since a model must be there first. That
     start fades as slowly: it is biased, so it must go, but at once too little would be left where a
     flight has told little yet. A row that begins anew does so for `RESPONSE_TIME`.
-
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the coefficients.
-    layout : Layout
-        Its regression problem.
-    start : Start
-        Initial coefficients, their uncertainty, and which are free.
-    correlation_time : float
-        Time over which residuals are correlated, s: that of the regression's filter.
-    forgetting_time : float
-        Time constant of forgetting, s; 0 for never.
-    instrumental : sequence of bool
-        For each part whether it has instruments, or is least squares.
-
-    Attributes
-    ----------
-    forgetting_time : float
-        The parameter; it may change at any time.
-    sums : Sums
-        What was accumulated, without the start that fades.
-    warming_up : (rows,) bool array
-        Rows whose regressors are still their own instruments.
-    variance : (parts, rows) array
-        Running residual variance.
-    time : (rows,) array
-        How long each row has learned, s.
     """
 
     def __init__(
         self,
         structure: Structure,
         layout: Layout,
-        start: Start,
-        correlation_time: float,
-        forgetting_time: float = 0.0,
-        instrumental: Sequence[bool] = (False,),
+        start: Start,  # Initial coefficients, their uncertainty, and which are free
+        correlation_time: float,  # Of the residuals, s: that of the regression's filter
+        forgetting_time: float = 0.0,  # Time constant, s; 0 for never; it may change at any time
+        instrumental: Sequence[bool] = (False,),  # Of each part; it is least squares if not
     ) -> None:
         self.layout = layout
         self.forgetting_time = forgetting_time
         self._structure = structure
         self._unit_time = correlation_time
-        self._instrumental = tuple(instrumental)
+        self._instrumental: BoolArray = np.array(instrumental)
         parts, rows, k = len(instrumental), layout.rows, layout.width
         self._i, self._j = layout.place[..., 0], layout.place[..., 1]
         self._used = np.flatnonzero(layout.used)
         self._places = (structure.size * self._i + self._j).ravel()[self._used]
-        defined = [
-            (at.row, at.column, at.entry, at.angle, at.flow.force)
-            for at in _flow_entries(structure, layout)
-        ]
-        self._flow = np.array(defined, dtype=np.intp).reshape(-1, 5).T
         self._transform = Transform(structure, layout)
         self.start = start
         self.sums = Sums.nothing(parts, rows, k)
+        # Rows whose regressors are still their own instruments, and until when, s
         self.warming_up: BoolArray = np.full(rows, any(instrumental))
-        self._warm_at: FloatArray = np.full(rows, SHORT_MEMORY)  # time at which that ends, s
-        self._fading: Sums | None = None
-        self._faded: FloatArray = np.ones(rows)
+        self._warm_at: FloatArray = np.full(rows, SHORT_MEMORY)
+        # What was accumulated in that time, and which share of it is left
+        self._fading, self._faded = Sums.nothing(parts, rows, k), np.zeros(rows)
+        # Running residual variance, (parts, rows)
         self.variance: FloatArray = np.full((parts, rows), FIRST_RESIDUAL_VARIANCE)
-        self.time: FloatArray = np.zeros(rows)
+        self.time: FloatArray = np.zeros(rows)  # How long each row has learned, s
         self._score: FloatArray = np.zeros((parts, rows, k))
         self._score_time: FloatArray = np.zeros(rows)
 
@@ -286,9 +226,7 @@ class Information:
         return self.variance * self._unit_time
 
     def sums_of(self, parts: slice = slice(None)) -> Sums:
-        """Return all that was accumulated of some parts; not to be changed."""
-        if self._fading is None:
-            return self.sums if parts == slice(None) else self.sums[parts]
+        """Return all that was accumulated of some parts."""
         return Sums(self.sums.table[parts] + self._fading.table[parts], self.sums.k)
 
     def add(
@@ -297,24 +235,19 @@ class Information:
         weight: FloatArray,
         answering: FloatArray | None = None,
     ) -> None:
-        """Add samples, those of each part; in a row of weight 0 all stays as it is.
-
-        Parameters are those of `Sums.add`.
-        """
-        if warming_up := bool(self.warming_up.any()):
+        """Add samples, those of each part, as `Sums.add`; a row of weight 0 stays as it is."""
+        if self.warming_up.any():
             self._end_warm_up(self.warming_up & (self.time.max() >= self._warm_at))
         stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
-        for part, instrumental in enumerate(self._instrumental):
-            if warming_up or not instrumental:  # the regressors are their own instruments
-                plain = self.warming_up if instrumental else slice(None)
-                stack.z[part, plain] = stack.f[part, plain]
+        plain = self._plain
+        stack.z[plain] = stack.f[plain]
         time, begun = weight * stack.time, self.time > 0.0
-        if self._fading is not None:
+        if self._faded.any():
             keep = np.exp(time / -SHORT_MEMORY)
             self._fading.weigh(keep)
             self._faded *= keep
             if self._faded.max() < ROUNDING:
-                self._fading = None
+                self._fading.table[:] = self._faded[:] = 0.0
         score = self.sums.add(stack, weight, answering)
         residual = stack.residual
         # What coefficients that know nothing leave is no residual.
@@ -328,31 +261,30 @@ class Information:
         if max(self._score_time.tolist()) >= INDEPENDENT_TIME:
             self._close_blocks(self._score_time >= INDEPENDENT_TIME)
 
+    @property
+    def _plain(self) -> BoolArray:
+        """Where the regressors are their own instruments, (parts, rows)."""
+        return ~self._instrumental[:, None] | self.warming_up
+
     def _end_warm_up(self, rows: BoolArray) -> None:
         """Begin with instruments in some rows; what was accumulated without them fades."""
-        if not rows.any():
-            return
         self.warming_up = self.warming_up & ~rows
-        if self._fading is None:
-            self._fading = Sums(np.zeros_like(self.sums.table), self.sums.k)
         self._faded[rows] = 1.0
-        for part in np.flatnonzero(self._instrumental):
-            self._fading.table[part, rows] = self.sums.table[part, rows]
-            self.sums.table[part, rows] = 0.0
+        moved = self._instrumental[:, None] & rows
+        self._fading.table[moved] = self.sums.table[moved]
+        self.sums.table[moved] = 0.0
 
     def begin_anew(self, rows: BoolArray) -> None:
         """Forget what some rows have told, (rows,): a clearer time begins."""
-        self.sums.table[:, rows] = 0.0
-        if self._fading is not None:
-            self._fading.table[:, rows] = 0.0
+        self.sums.table[:, rows] = self._fading.table[:, rows] = 0.0
         self._score[:, rows] = self._score_time[rows] = 0.0
-        self.warming_up = self.warming_up | (rows & any(self._instrumental))
+        self.warming_up = self.warming_up | (rows & self._instrumental.any())
         self._warm_at[rows] = self.time.max() + RESPONSE_TIME
 
     def instrumented(self, samples: RowSamples) -> RowSamples:
         """Return samples with the instruments that the first part has now."""
         rows = RowSamples(samples.signals.copy(), samples.dt)
-        plain = self.warming_up if self._instrumental[0] else slice(None)
+        plain = self._plain[0]
         rows.z[plain] = rows.f[plain]
         return rows
 
@@ -369,14 +301,12 @@ class Information:
     def discount(self, keep: float) -> None:
         """Let all that was accumulated be worth `keep` of what it was."""
         self.sums.table *= keep
-        if self._fading is not None:
-            self._fading.table *= keep
+        self._fading.table *= keep
 
     def set_row(self, row: int, sums: Sums) -> None:
         """Replace all that is known in one row."""
         self.sums.table[:, row] = sums.table[:, row]
-        if self._fading is not None:
-            self._fading.table[:, row] = 0.0
+        self._fading.table[:, row] = 0.0
 
     # -- solution --------------------------------------------------------------------------
 
@@ -387,14 +317,8 @@ class Information:
         whose control derivative was known before S counts it so (the weights of the generalised
         method of moments; Hansen 1982): the prior counts for more, and the instrument of a
         coefficient that it holds does not pull at the others. Elsewhere the prior only keeps
-        noise out, and counts as it is.
-
-        Parameters
-        ----------
-        values : (R, n) array
-            The coefficients before: their force rows turn forces into flow angles.
-        parts : slice
-            Which parts; all if left out.
+        noise out, and counts as it is. The force rows of the coefficients before, `values` (R, n),
+        turn forces into flow angles.
         """
         sums, transform = self.sums_of(parts), self._transform(values)
         weighed = sums.zz + sums.answer_time[..., None, None] * self._before * sums.answers[:, :, 0]
@@ -448,17 +372,9 @@ class Information:
         times too small (block-mean form of Morelli and Klein 1997). The prior adds its own part,
         and so does what answers disturbances.
 
-        Parameters
-        ----------
-        solution : Solution
-            Coefficients of all parts.
-
-        Returns
-        -------
-        covariance : (parts, rows, k, k) array
-            Covariance of what is solved for, row by row, without what answers.
-        sigma : (parts, R, n) array
-            Standard deviations of the coefficients of the structure.
+        Returned is the covariance of what is solved for, row by row, without what answers,
+        (parts, rows, k, k), and the standard deviations of the structure's coefficients,
+        (parts, R, n).
         """
         sums, prior = solution.sums, solution.prior
         try:
@@ -518,7 +434,7 @@ class Information:
         the `resolution` (parts, rows, k), 1 without a prior.
         """
         out = self._placed(variance, np.zeros_like(self._start.values))
-        row, column, entry, angle, force = self._flow
+        row, column, entry, angle, force = self._transform.by_force
         share, resolved = linear[:, row, angle] ** 2, resolution[:, row, entry] ** 2
         out[:, row, column] += share * out[:, force, column] * resolved
         return np.where(self._start.free, np.sqrt(out), self._start.sigma)
@@ -586,40 +502,10 @@ class Information:
         return tuple(self._structure.regressors[j] for j in self._j[row, entries])
 
 
-class FlowEntry(NamedTuple):
-    """An entry of a moment row of the regression problem that is about a flow angle's force."""
-
-    row: int
-    entry: int  # Of the angle, or of something else that makes its force
-    column: int  # The column of that in the structure
-    angle: int  # Entry of the angle in the row
-    flow: FlowRows  # Where the angle stands in the structure
-
-
-def _flow_entries(structure: Structure, layout: Layout) -> Iterator[FlowEntry]:
-    """Yield the entries of flow angles, and of what else makes their forces, in the moment rows."""
-    for flow in structure.flow:
-        for row in range(len(ROWS)):
-            columns = layout.index[row][layout.used[row]].tolist()
-            if flow.angle not in columns:
-                continue
-            angle = columns.index(flow.angle)
-            for column in (flow.angle, *flow.others):
-                if column in columns:
-                    yield FlowEntry(row, columns.index(column), column, angle, flow)
-
-
 class Transform:
     """Matrices T from the structure's coefficients to the linear ones, (rows, k, k).
 
     An angle is a force over its slope, less what else makes that force.
-
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the coefficients.
-    layout : Layout
-        Its regression problem.
     """
 
     def __init__(self, structure: Structure, layout: Layout) -> None:
@@ -628,18 +514,29 @@ class Transform:
         # Places in T, and what stands there: a sign times one coefficient over another, by their
         # places in the raveled coefficients, behind which there is a one.
         one, entries = structure.mask.size, []
-        for row, entry, column, angle, flow in _flow_entries(structure, layout):
-            first = flow.force * structure.size
-            sign, over = (1, one) if entry == angle else (-1, first + column)
-            entries.append((row, entry, angle, sign, over, first + flow.angle))
+        # Entries of moment rows that are about a force: row, column of the structure, entry in the
+        # row, that of the angle, and the row of the force
+        by_force = []
         for flow in structure.flow:
-            slope = flow.force * structure.size + flow.angle
+            first = flow.force * structure.size
+            slope = first + flow.angle
+            for row, columns in enumerate(layout.index[: len(ROWS)].tolist()):
+                if flow.angle not in columns:
+                    continue
+                angle = columns.index(flow.angle)
+                entries.append((row, angle, angle, 1, one, slope))
+                by_force.append((row, flow.angle, angle, angle, flow.force))
+                for column in set(flow.others).intersection(columns):
+                    entry = columns.index(column)
+                    entries.append((row, entry, angle, -1, first + column, slope))
+                    by_force.append((row, column, entry, angle, flow.force))
             for entry in np.flatnonzero(layout.place[flow.force, :, 0] == flow.kinematics):
                 entries.append((flow.force, entry, entry, 1, slope, one))
-        columns = np.array(entries, dtype=np.intp).reshape(-1, 6).T
-        self._at = np.ravel_multi_index(tuple(columns[:3]), self._one.shape)
-        self._sign, self._over, self._under = columns[3:]
+        table = np.array(entries, dtype=np.intp).reshape(-1, 6).T
+        self._at = np.ravel_multi_index(tuple(table[:3]), self._one.shape)
+        self._sign, self._over, self._under = table[3:]
         self._known: FloatArray = np.ones(one + 1)
+        self.by_force = np.array(by_force, dtype=np.intp).reshape(-1, 5).T
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Return the matrices for coefficients of the structure (R, n)."""

@@ -388,7 +388,7 @@ class RecursiveRegression:
         own = (rows == row) & (columns == CONSTANT_COLUMN)
         constant = np.where(own, sigma[row, columns], 0.0)
         covariance += np.diag(constant**2 + moved**2)
-        sums = information.sums_of().copy()
+        sums = information.sums_of()
         sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
         after = RowSamples.of(samples, self.residual(samples), self._layout)
         # The other parts follow by themselves.
