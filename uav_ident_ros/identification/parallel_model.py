@@ -26,20 +26,6 @@ class ParallelModel:
 
     Its states have neither gyro noise nor gusts in them, which makes them instruments. While
     something is injected on purpose, its response to that alone is free of feedback, too.
-
-    Parameters
-    ----------
-    settings : Settings
-        Lever arm, filter and reference airspeed.
-    structure : Structure
-        Regressors and coefficients.
-
-    Attributes
-    ----------
-    model : IdentifiedModel
-        What predicts the rates.
-    flow : FlowObserver or None
-        Observer of attitude and flow angles; None for a structure without them.
     """
 
     def __init__(self, settings: Settings, structure: Structure) -> None:
@@ -47,32 +33,21 @@ class ParallelModel:
         self.model = IdentifiedModel(structure, arm)
         self._response = IdentifiedModel(structure, arm)
         self._since_injected = RESPONSE_TIME
-        self.flow: FlowObserver | None = None
+        self.flow: FlowObserver | None = None  # Without flow angles
         if structure.has_flow:
             self.flow = FlowObserver(structure, settings.filter.cutoff, settings.airspeed.reference)
 
     def follow(
-        self, block: Block, coefficients: FloatArray, airspeed: float | None, leak_time: float
+        self,
+        block: Block,  # Measured signals over m cells; its flow is set
+        coefficients: FloatArray,  # (R, n) A_m at the airspeed flown
+        airspeed: float | None,  # True, m/s; None where none is measured
+        leak_time: float,  # Of the pull towards the measured state, s; 0 for none
     ) -> tuple[FloatArray, bool]:
         """Run over a block, and observe the flow in it.
 
-        Parameters
-        ----------
-        block : Block
-            Measured signals over m cells; its flow is set.
-        coefficients : (R, n) array
-            A_m at the airspeed flown.
-        airspeed : float or None
-            True airspeed, m/s; None where none is measured.
-        leak_time : float
-            Time constant of the pull towards the measured state, s; 0 for none.
-
-        Returns
-        -------
-        states : (m + 1, 3 or 8) array
-            The state at the edges, of which instruments are made.
-        injected : bool
-            Whether it is the response to what was injected on purpose alone.
+        Returned is the state at the edges, (m + 1, 3 or 8), of which instruments are made, and
+        whether it is the response to what was injected on purpose alone.
         """
         if self.flow is not None:
             block.flow = self.flow.follow(block, coefficients, airspeed)
@@ -147,34 +122,20 @@ class RunningFit:
     Predictions follow one another: each starts from the measured state, with the coefficients
     of that time; nothing measured but the inputs enters after that. It is compared with every
     sample of its second.
-
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the coefficients.
-    model : IdentifiedModel
-        What predicts.
-
-    Attributes
-    ----------
-    fit, hold, saved : (3,) array
-        Fit of p, q, r in percent, of the coefficients in use, of the rates held and of the
-        coefficients last saved; 0 until there is one.
-    flight_fit, flight_hold : (3,) array
-        The same over the last part of the flight so far.
-    predictions : int
-        Predictions that have counted.
     """
 
     def __init__(self, structure: Structure, model: IdentifiedModel) -> None:
         self._holds_force = structure.has_forces
         self._model = model
+        # Fit of p, q, r in percent, of the coefficients in use, of the rates held and of the
+        # coefficients last saved; 0 until there is one
         self.fit: FloatArray = np.zeros(3)
         self.hold: FloatArray = np.zeros(3)
         self.saved: FloatArray = np.zeros(3)
+        # The same over the last part of the flight so far
         self.flight_fit: FloatArray = np.zeros(3)
         self.flight_hold: FloatArray = np.zeros(3)
-        self.predictions = 0
+        self.predictions = 0  # That have counted
         self._sums: FloatArray = np.zeros((6, 3))
         self._flight: FloatArray = np.zeros((6, 3))
         self.forget()
@@ -198,20 +159,10 @@ class RunningFit:
     def add(
         self,
         block: Block,
-        coefficients: FloatArray,
-        saved: FloatArray | None,
+        coefficients: FloatArray,  # (R, n) In use when the block began
+        saved: FloatArray | None,  # (R, n) Last saved
     ) -> None:
-        """Take a block of signals; once a second is full, it is predicted and counts.
-
-        Parameters
-        ----------
-        block : Block
-            Signals.
-        coefficients : (R, n) array
-            Coefficients in use when the block began.
-        saved : (R, n) array or None
-            Coefficients last saved; None while there are none.
-        """
+        """Take a block of signals; once a second is full, it is predicted and counts."""
         if block.restarted:
             self.restart()
         if not self._parts:

@@ -46,24 +46,12 @@ slow input after whitening above what rounding and sampling leave."""
 
 
 class NoiseModel:
-    """Autoregressive models of the residuals of several rows.
-
-    Parameters
-    ----------
-    rows : int
-        Number of rows.
-
-    Attributes
-    ----------
-    weights : (rows, ORDER) array
-        What is predicted of a residual from those before it, the newest first.
-    variance : (rows,) array
-        Variance of the innovation: of what is left.
-    """
+    """Autoregressive models of the residuals of several rows."""
 
     def __init__(self, rows: int) -> None:
+        # What is predicted of a residual from those before it, the newest first
         self.weights: FloatArray = np.zeros((rows, ORDER))
-        self.variance: FloatArray = np.zeros(rows)
+        self.variance: FloatArray = np.zeros(rows)  # Of the innovation: of what is left
         self._covariances: FloatArray = np.zeros((rows, ORDER + 1))
         self._time = self._since_fit = 0.0
         self._lags = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
@@ -73,20 +61,10 @@ class NoiseModel:
         self._known = 0
 
     def whiten(self, samples: RowSamples, *, restarted: bool) -> RowSamples:
-        """Learn from the residuals of samples, and whiten them.
+        """Learn from the residuals of samples, and return them whitened.
 
-        Parameters
-        ----------
-        samples : RowSamples
-            m samples.
-        restarted : bool
-            Whether the first does not continue those before.
-
-        Returns
-        -------
-        RowSamples
-            The same, their residuals are innovations; zeros in the place of the first `ORDER` after
-            a restart.
+        Their residuals are innovations then. After a restart, where the first does not continue
+        those before, zeros take the place of the first `ORDER`.
         """
         new = samples.signals
         if restarted or self._past is None:
@@ -167,22 +145,6 @@ class Feedback:
     that seems to answer does, past residuals explain it by chance, as they do where both are slow,
     or since the model is poor; unless they also foretell what is new in the input, beside its own
     past (Granger, Econometrica 37, 1969).
-
-    Parameters
-    ----------
-    layout : Layout
-        The regression problem.
-
-    Attributes
-    ----------
-    share : (4,) array
-        Share R^2 of each input that is an answer to disturbances, 0 ... 1; 0 where that may be
-        chance.
-    ratio : (rows, k) array
-        ``q = R^2 / (1 - R^2)`` of the input that each instrument follows.
-    answering : (rows, 3, k, k) array or None
-        Of each pair of instruments the root of the product of q, of R^2, both by chance or not,
-        and of R^2 that is no chance; None where nothing answers.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -199,32 +161,24 @@ class Feedback:
         self._set_share(np.zeros(len(INPUTS)), np.zeros(len(INPUTS), dtype=bool))
 
     def _set_share(self, share: FloatArray, sure: BoolArray) -> None:
+        # R^2 of each input, (4,); 0 where it may be chance
         self.share = np.where(sure, share, 0.0)
+        # q = R^2 / (1 - R^2) of the input that each instrument follows, (rows, k)
         self.ratio: FloatArray = (self.share / (1.0 - self.share))[self._driven_by]
         root = np.sqrt((share / (1.0 - share), share, self.share))[:, self._driven_by]
+        # Of each pair of instruments the root of the product of q, of R^2, both by chance or not,
+        # and of R^2 that is no chance, (rows, 3, k, k); None where nothing answers
         answering = (root[..., :, None] * root[..., None, :]).swapaxes(0, 1)
         self.answering: FloatArray | None = answering if share.any() else None
 
     def add(
         self,
         samples: Regression,
-        residual: FloatArray,
-        weight: FloatArray,
-        effect: FloatArray,
+        residual: FloatArray,  # (m, 3) Theirs in the moment rows, rad/s^2
+        weight: FloatArray,  # (3,) How much the rows learn from them, 0 ... 1
+        effect: FloatArray,  # (3,) Size of each row's main control derivative, 0 if not known
     ) -> None:
-        """Take samples; they are looked at every `INDEPENDENT_TIME`.
-
-        Parameters
-        ----------
-        samples : Regression
-            m samples.
-        residual : (m, 3) array
-            Their residuals in the moment rows, rad/s^2.
-        weight : (3,) array
-            How much the rows learn from them, 0 ... 1.
-        effect : (3,) array
-            Size of each row's main control derivative, 0 where it is not known.
-        """
+        """Take samples; they are looked at every `INDEPENDENT_TIME`."""
         self._gathered.append((samples, residual, samples.dt * max(weight.tolist())))
         self._since_look += samples.time
         if self._since_look >= INDEPENDENT_TIME:
@@ -363,21 +317,13 @@ class Confirmation:
         self._turns[row].clear()
 
     def add(
-        self, white: RowSamples, effect: FloatArray, variance: FloatArray, max_age: float
+        self,
+        white: RowSamples,
+        effect: FloatArray,  # (3, m) What the main inputs make in them, by derivatives believed
+        variance: FloatArray,  # (rows,) Of their residuals, the innovations
+        max_age: float,  # In which what was confirmed fades while the input rests, s; 0: never
     ) -> None:
-        """Weigh whitened samples.
-
-        Parameters
-        ----------
-        white : RowSamples
-            The samples.
-        effect : (3, m) array
-            What the main input of each row makes in them, by the derivatives believed.
-        variance : (rows,) array
-            Variance of their residuals, the innovations.
-        max_age : float
-            Time in which what was confirmed fades while the input does not move, s; 0 for never.
-        """
+        """Weigh whitened samples."""
         residual = white.residual[: len(ROWS)]
         # squared residuals as they are, and if the input did nothing
         left = np.add.reduce(np.square((residual, residual + effect)), axis=2)

@@ -67,23 +67,13 @@ class Change(NamedTuple):
 
 
 class ChangeDetector:
-    """Watches the residuals for a changed control derivative.
+    """Watches the residuals for a changed control derivative."""
 
-    Parameters
-    ----------
-    free : (3, n) bool array
-        Coefficients that move.
-    cutoff : float
-        Of the regression's filter, rad/s.
-
-    Attributes
-    ----------
-    seeming : (3, 4) array
-        By how much control derivatives seem to have changed where noise hides whether they have;
-        0 where they do not.
-    """
-
-    def __init__(self, free: BoolArray, cutoff: float) -> None:
+    def __init__(
+        self,
+        free: BoolArray,  # (3, n) Coefficients that move
+        cutoff: float,  # Of the regression's filter, rad/s
+    ) -> None:
         self._cutoff = cutoff
         # Throttle acts through the propeller's speed: its column has no single true value.
         surfaces = [label != "dth" for label in INPUTS]
@@ -101,6 +91,7 @@ class ChangeDetector:
         self._energy = self._power = np.zeros(len(self._row))
         # Of the looks of the last `WINDOW_TIME`: energy, power, and what was known
         self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
+        # By how much control derivatives seem to have changed where noise hides whether they have
         self.seeming: FloatArray = np.zeros((3, len(INPUTS)))
         # Usual size of each when it began to seem changed; infinite if it does not
         self._usual_before = np.full(len(self._row), np.inf)
@@ -124,21 +115,19 @@ class ChangeDetector:
             return False  # one or two long ticks tell no slope
         return self._since_look >= LOOK_TIME - 0.5 * samples.dt
 
-    def look(self, coefficients: FloatArray, sigma: FloatArray) -> list[Change]:
+    def look(
+        self,
+        coefficients: FloatArray,  # (rows, c) The estimate: whitened, as the residuals are
+        # (3, 4) Standard deviations of its control derivatives: what is being learned has not
+        # changed. The smaller of those now and before the window count: by what a change leaves in
+        # the residuals, they grow themselves.
+        sigma: FloatArray,
+    ) -> list[Change]:
         """Return what has changed, one coefficient a row at most.
 
         A motor that loses thrust steps a constant moment, and the controller answers with a step of
         its inputs, which looks like a slope. Where the step explains more, it is the constant, and
         where a row explains clearly more than any control derivative, all of it.
-
-        Parameters
-        ----------
-        coefficients : (rows, c) array
-            The estimate: whitened, as the residuals are.
-        sigma : (3, 4) array
-            Standard deviations of its control derivatives: what is being learned has not changed.
-            The smaller of those now and before the window count: by what a change leaves in the
-            residuals, they grow themselves.
         """
         self._since_look = 0.0
         newest = self._window[-1]

@@ -26,33 +26,13 @@ class ExcitationGate:
     """Tells how much excitation the rows see.
 
     A row learns while at least one of its inputs is lively; the less lively, the less it counts.
-
-    Parameters
-    ----------
-    free : (3, n) bool array
-        Coefficients that move; a row watches the inputs that it has a coefficient for.
-    settings : SupervisionSettings
-        Thresholds.
-
-    Attributes
-    ----------
-    settings : SupervisionSettings
-        The parameter; it may change at any time.
-    share : (4,) array
-        Variance of each input over the window, relative to its mean while learning. Relative
-        to the largest one, one wild manoeuvre would close the gate for an ordinary flight.
-    signal : (3,) array
-        Variance that the inputs explain in each row, relative to that of the residual.
-    weight : (3,) array
-        How much each row learns, 0 ... 1.
-    learning : (3,) bool array
-        Rows that see excitation: those with full weight.
-    clear : (3,) bool array
-        Those of them in which the inputs stand out: they explain more than all else together. In a
-        storm an autopilot's answers look like a change, and large residuals are no reason to learn.
     """
 
-    def __init__(self, free: BoolArray, settings: SupervisionSettings) -> None:
+    def __init__(
+        self,
+        free: BoolArray,  # (3, n) Coefficients that move: their inputs are watched
+        settings: SupervisionSettings,  # They may change at any time
+    ) -> None:
         self.settings = settings
         self._watched: BoolArray = free[:, INPUT_COLUMNS]
         self._blind: BoolArray = ~self._watched.any(axis=1)
@@ -62,26 +42,24 @@ class ExcitationGate:
         self._since_look = 0.0
         self._usual: FloatArray = np.zeros(4)
         self._usual_time: FloatArray = np.zeros(4)
+        # Variance of each input over the window, relative to its mean while learning. Relative to
+        # the largest one, one wild manoeuvre would close the gate for an ordinary flight.
         self.share: FloatArray = np.zeros(4)
+        # Variance that the inputs explain in each row, relative to that of the residual
         self.signal: FloatArray = np.zeros(3)
-        self.weight: FloatArray = np.ones(3)
-        self.learning: BoolArray = np.ones(3, dtype=bool)
+        self.weight: FloatArray = np.ones(3)  # How much each row learns, 0 ... 1
+        self.learning: BoolArray = np.ones(3, dtype=bool)  # Rows that learn in full
+        # Those of them in which the inputs explain more than all else together. In a storm an
+        # autopilot's answers look like a change, and large residuals are no reason to learn.
         self.clear: BoolArray = np.ones(3, dtype=bool)
 
     def update(
-        self, samples: Regression, residual: FloatArray, coefficients: FloatArray
+        self,
+        samples: Regression,
+        residual: FloatArray,  # (m, 3) Theirs, rad/s^2
+        coefficients: FloatArray,  # (3, n) What is known
     ) -> FloatArray:
-        """Return how much the rows may learn from samples, shape (3,).
-
-        Parameters
-        ----------
-        samples : Regression
-            The samples.
-        residual : (m, 3) array
-            Their residuals, rad/s^2.
-        coefficients : (3, n) array
-            What is known.
-        """
+        """Return how much the rows may learn from samples, shape (3,)."""
         u = samples.f[:, INPUT_COLUMNS]
         signals = np.concatenate((np.ones((len(u), 1)), u, u * u, residual * residual), axis=1)
         self._window.append(samples.dt * np.add.reduce(signals))

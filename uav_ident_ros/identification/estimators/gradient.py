@@ -53,45 +53,21 @@ def gain_matrix(gains: tuple[float, ...], n: int) -> FloatArray:
 
 
 def gradient_step(
-    coefficients: FloatArray,
-    y: FloatArray,
-    f: FloatArray,
-    gain: FloatArray,
-    free: BoolArray,
-    dt: float,
+    coefficients: FloatArray,  # (3, n) A_m
+    y: FloatArray,  # (3,) xdot, rad/s^2
+    f: FloatArray,  # (n,) Regressors
+    gain: FloatArray,  # (n, n) K, symmetric positive semi-definite
+    free: BoolArray,  # (3, n) Coefficients that move
+    dt: float,  # s
     *,
-    guarded: bool,
+    guarded: bool,  # Whether to take the exact step
 ) -> tuple[FloatArray, float]:
-    """One step of the law over `dt`, with e and f held.
+    """Return A_m after a step of the law, with e and f held, and the largest ``dt f^T K f``.
 
     Along a row's free columns K acts through its principal submatrix, so that it stays
     positive semi-definite there. Guarded, the step is the exact solution
     ``(1 - exp(-s dt)) / s`` with ``s = f^T K f``, which no gain can make overshoot; otherwise
-    it is Euler's ``dt``.
-
-    Parameters
-    ----------
-    coefficients : (3, n) array
-        A_m.
-    y : (3,) array
-        xdot, rad/s^2.
-    f : (n,) array
-        Regressors.
-    gain : (n, n) array
-        K, symmetric positive semi-definite.
-    free : (3, n) bool array
-        Coefficients that move.
-    dt : float
-        Step, s.
-    guarded : bool
-        Whether to take the exact step.
-
-    Returns
-    -------
-    coefficients : (3, n) array
-        A_m after the step.
-    step : float
-        Largest ``dt f^T K f`` of the rows; Euler's step grows beyond `EULER_LIMIT`.
+    it is Euler's ``dt``, which grows where ``dt f^T K f`` is beyond `EULER_LIMIT`.
     """
     e = y - coefficients @ f
     row_f = np.where(free, f, 0.0)
@@ -105,22 +81,10 @@ def gradient_step(
 
 
 class GradientEstimator:
-    """The paper's law, sample by sample.
+    """The paper's law, sample by sample; an `Estimator`.
 
-    Parameters
-    ----------
-    settings : Settings
-        Structure; gains, what they are relative to, and the step.
-    start : Start
-        Initial coefficients and which of them are free.
-
-    Attributes
-    ----------
-    coefficients, sigma : (3, n) array
-        Estimate and standard deviations. The law has none: they are those of the instrumental
-        variable that runs beside it, widened by the distance from it.
-    information : Information
-        What the flight has told that instrumental variable.
+    It has no standard deviations: they are those of the instrumental variable that runs beside it,
+    widened by the distance from it.
     """
 
     def __init__(self, settings: Settings, start: Start) -> None:

@@ -59,21 +59,7 @@ def known_beside(
 
 
 class ModelError:
-    """Follows what the main input of each moment row does otherwise than the model says.
-
-    Parameters
-    ----------
-    layout : Layout
-        The regression problem.
-
-    Attributes
-    ----------
-    share : (3,) array
-        What is taken away by saturation, lateness or attenuation, whichever is most, relative to
-        what the input does, both in rms, 1 at most; 0 where it is no more than chance.
-    height : float
-        Of the accelerometer above where it is said to be, m; 0 where it is no more than chance.
-    """
+    """Follows what the main input of each moment row does otherwise than the model says."""
 
     def __init__(self, layout: Layout) -> None:
         self._entries = [*layout.main, *layout.rolling]
@@ -89,8 +75,11 @@ class ModelError:
         # attenuation and lateness; of the newest saturation and lateness
         self._sure: BoolArray = np.zeros((rows, 2, 2), dtype=bool)
         self._sure_early: BoolArray = np.zeros((rows, 1, 2), dtype=bool)
+        # What is taken away by saturation, lateness or attenuation, whichever is most, relative to
+        # what the input does, both in rms, 1 at most; 0 where it is no more than chance
         self.share: FloatArray = np.zeros(len(ROWS))
         self._early: FloatArray = np.zeros(len(ROWS))
+        # Of the accelerometer above where it is said to be, m; 0 where it is no more than chance
         self.height = 0.0
 
     def doubt(self, known: BoolArray) -> FloatArray:
@@ -112,34 +101,19 @@ class ModelError:
     def add(
         self,
         samples: RowSamples,
-        weight: FloatArray,
+        weight: FloatArray,  # (3,) How much they count in each row
+        # (3,) q of each row's main input as `Feedback` has it: one that answers looks late
         ratio: FloatArray,
+        # Of what rolls the aircraft: the gust that it answers pushes sideways, too
         roll_ratio: float,
-        effect: FloatArray,
+        effect: FloatArray,  # (3,) Control derivative of each row's main input
         *,
-        restarted: bool,
+        restarted: bool,  # Whether the first does not continue those before
+        # Whether the model that makes the instruments is known. At the start it leaks, and gusts
+        # are in them; as soon as there are blocks enough without, those of the start go.
         settled: bool = True,
     ) -> None:
-        """Take samples; they are looked at in blocks of `INDEPENDENT_TIME`.
-
-        Parameters
-        ----------
-        samples : RowSamples
-            The samples.
-        weight : (3,) array
-            How much they count in each row.
-        ratio : (3,) array
-            q of each row's main input as `Feedback` has it: one that answers looks late.
-        roll_ratio : float
-            The same of what rolls the aircraft: the gust that it answers pushes sideways, too.
-        effect : (3,) array
-            Control derivative of each row's main input.
-        restarted : bool
-            Whether the first does not continue those before.
-        settled : bool
-            Whether the model that makes the instruments is known. At the start it leaks, and gusts
-            are in them; as soon as there are blocks enough without, those of the start go.
-        """
+        """Take samples; they are looked at in blocks of `INDEPENDENT_TIME`."""
         if restarted or not weight.any():
             self._gathered.clear()
         if not weight.any():
@@ -254,25 +228,15 @@ class ModelError:
 
 
 def _solved(
-    zf: FloatArray, zz: FloatArray, zy: FloatArray, pick: FloatArray
+    zf: FloatArray,  # zf, zz: (rows, w, w), zy: (rows, w) Sums of all blocks
+    zz: FloatArray,
+    zy: FloatArray,
+    pick: FloatArray,  # (others, k, w) Takes the regressors to those that are solved for
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the solution of rows with some of their regressors.
 
-    Parameters
-    ----------
-    zf, zz, zy : (rows, w, w) and (rows, w) arrays
-        Sums of all blocks.
-    pick : (others, k, w) array
-        Takes the regressors to those that are solved for.
-
-    Returns
-    -------
-    scale : (rows, others, k) array
-        Of the regressors: one over their rms, times the root of the time.
-    instruments, gain : (rows, others, k, k) array
-        Scaled ``sum z z^T``, and what takes the scaled ``sum z y`` to the coefficients.
-    linear : (rows, others, k) array
-        Scaled coefficients.
+    Their scale, one over rms and root of time, (rows, others, k); scaled by it the ``sum z z^T``
+    and what takes the ``sum z y`` to the coefficients, (rows, others, k, k), and these.
     """
     slope, instruments = (pick @ sums[:, None] @ pick.swapaxes(-1, -2) for sums in (zf, zz))
     power = diagonal(instruments)
