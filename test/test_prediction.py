@@ -381,19 +381,3 @@ def test_no_window_spans_a_gap_or_needs_unknown_inputs() -> None:
     assert errors.t_ns[0] == pytest.approx(known.t_ns[0])
     # held for the timeout after the last
     assert (errors.t_ns[-1] - known.t_ns[-1]) * 1e-9 == pytest.approx(0.5 - 1.0)
-
-
-def test_wrong_arguments_are_named() -> None:
-    record = fly(duration=2.0)
-    for change, words in (
-        ({"t_ns": record.t_ns[::-1]}, "stamps of the rates do not rise"),
-        ({"ticks_ns": record.ticks_ns * 0}, "stamps of the ticks do not rise"),
-        ({"rates": record.rates[1:]}, "differ in number"),
-        ({"structure": AUGMENTED}, r"shape .* is needed for the ticks and structure 'augmented'"),
-    ):
-        wrong = replace(record, **change)
-        with pytest.raises(ValueError, match=words):
-            prediction.window_errors(wrong.flown, wrong.published)
-    blind = replace(fly(FLIGHT, duration=2.0), flow=None)
-    with pytest.raises(ValueError, match="needs the flow states"):
-        prediction.window_errors(blind.flown, blind.published)

@@ -65,24 +65,12 @@ _FORCES = LAST_COLUMNS.start - EXOGENOUS_COLUMNS.start
 
 @dataclass(frozen=True)
 class InputSignal:
-    """The inputs as a function of time: straight lines between samples, delayed and lagged.
+    """The inputs as a function of time: straight lines between samples, delayed and lagged."""
 
-    Parameters
-    ----------
-    t_ns : (M,) int array
-        Stamps, ns, strictly rising.
-    u : (M, 4) array
-        de, dr, da, dth, deviations from trim.
-    delay : float
-        Transport delay, s.
-    time_constant : float
-        First-order lag, s; it starts in equilibrium.
-    """
-
-    t_ns: TimeArray
-    u: FloatArray
-    delay: float = 0.0
-    time_constant: float = 0.0
+    t_ns: TimeArray  # (M,) Stamps, ns, strictly rising
+    u: FloatArray  # (M, 4) de, dr, da, dth, deviations from trim
+    delay: float = 0.0  # Transport delay, s
+    time_constant: float = 0.0  # First-order lag, s; it starts in equilibrium
 
     @property
     def delay_ns(self) -> int:
@@ -121,32 +109,17 @@ class InputSignal:
 
 @dataclass(frozen=True)
 class WindowErrors:
-    """Sums over the compared samples of each of W windows, up to each of H horizons.
+    """Sums over the compared samples of each of W windows, up to each of H horizons."""
 
-    Parameters
-    ----------
-    t_ns : (W,) int array
-        Start of each window, ns.
-    count : (W, H) int array
-        Compared samples; 0 where the flight does not cover the window.
-    model : (W, H, 3) array
-        Squared errors of the free prediction, summed.
-    hold : (W, H, 3) array
-        The same with the initial rate held.
-    measured_force : (W, 3) array
-        The same of the model with measured forces, over the first horizon; NaN where the
-        structure has no use for them.
-    measured, measured_square : (W, H, 3) array
-        Measured rates, and their squares, summed.
-    """
-
-    t_ns: TimeArray
-    count: TimeArray
-    model: FloatArray
-    hold: FloatArray
+    t_ns: TimeArray  # (W,) Start of each window, ns
+    count: TimeArray  # (W, H) Compared samples; 0 where the flight does not cover the window
+    model: FloatArray  # (W, H, 3) Squared errors of the free prediction
+    hold: FloatArray  # (W, H, 3) The same with the initial rate held
+    # (W, 3) The same of the model with measured forces, over the first horizon; NaN where the
+    # structure has no use for them
     measured_force: FloatArray
-    measured: FloatArray
-    measured_square: FloatArray
+    measured: FloatArray  # (W, H, 3) Measured rates
+    measured_square: FloatArray  # (W, H, 3) Their squares
 
     @staticmethod
     def none() -> WindowErrors:
@@ -165,28 +138,15 @@ class WindowErrors:
 
 @dataclass(frozen=True)
 class PredictionFit:
-    """Fit over a set of windows, percent; p, q, r.
+    """Fit over a set of windows, percent; p, q, r."""
 
-    Parameters
-    ----------
-    free : (H, 3) array
-        Of the free prediction over each of `HORIZONS`; NaN if there is no window.
-    free_hold : (H, 3) array
-        The same of holding the initial rate.
-    measured_force : (3,) array
-        Of the model with measured forces over the first horizon; NaN where the structure has no
-        use for them.
-    windows : int
-        Number of windows.
-    samples : int
-        Number of compared samples, first horizon.
-    """
-
-    free: FloatArray
-    free_hold: FloatArray
+    free: FloatArray  # (H, 3) Of the free prediction over `HORIZONS`; NaN if there is no window
+    free_hold: FloatArray  # (H, 3) The same of holding the initial rate
+    # (3,) Of the model with measured forces over the first horizon; NaN where the structure has no
+    # use for them
     measured_force: FloatArray
     windows: int
-    samples: int
+    samples: int  # Compared over the first horizon
 
     @property
     def model(self) -> FloatArray:
@@ -209,27 +169,13 @@ ns) to flags."""
 
 @dataclass(frozen=True)
 class Flown:
-    """What was measured, on one time base.
+    """What was measured, on one time base."""
 
-    Parameters
-    ----------
-    t_ns : (N,) int array
-        Stamps of the gyro samples, ns, strictly rising; they may be irregular.
-    rates : (N, 3) array
-        Measured p, q, r, rad/s, FRD, unfiltered.
-    inputs : InputSignal
-        Measured inputs.
-    force : (N, 2) array
-        Measured ay, az, m/s^2, FRD, at the gyro samples.
-    lever_arm : (3,) array
-        Position of the accelerometer from the centre of gravity, m, FRD.
-    """
-
-    t_ns: TimeArray
-    rates: FloatArray
+    t_ns: TimeArray  # (N,) Stamps of the gyro samples, ns, strictly rising, maybe irregular
+    rates: FloatArray  # (N, 3) p, q, r, rad/s, FRD, unfiltered
     inputs: InputSignal
-    force: FloatArray
-    lever_arm: FloatArray
+    force: FloatArray  # (N, 2) ay, az, m/s^2, FRD, at the gyro samples
+    lever_arm: FloatArray  # (3,) Of the accelerometer from the centre of gravity, m, FRD
 
     def steady_force(self) -> FloatArray:
         """Return ay, az less their centripetal part, m/s^2, shape (N, 2)."""
@@ -238,25 +184,13 @@ class Flown:
 
 @dataclass(frozen=True)
 class Published:
-    """What was published, tick by tick.
+    """What was published, tick by tick."""
 
-    Parameters
-    ----------
-    t_ns : (K,) int array
-        Ticks, ns, strictly rising.
-    coefficients : (K, R, n) array
-        Coefficients published at each tick, SI, FRD. One that is not finite makes its window's
-        prediction a divergent one.
-    structure : Structure
-        Their structure.
-    flow : (K, 6) array or None
-        Of a structure with flow angles: sideslip and angle of attack, rad; the unit vector that
-        points down, body axes FRD; the true airspeed, m/s.
-    """
-
-    t_ns: TimeArray
-    coefficients: FloatArray
+    t_ns: TimeArray  # (K,) Ticks, ns, strictly rising
+    coefficients: FloatArray  # (K, R, n) SI, FRD; a prediction with one not finite has diverged
     structure: Structure
+    # (K, 6) With flow angles: these, rad; the unit vector that points down, body axes FRD; the true
+    # airspeed, m/s
     flow: FloatArray | None = None
 
     @classmethod
@@ -304,14 +238,7 @@ def fit(errors: WindowErrors, chosen: BoolArray) -> PredictionFit:
 
 
 def window_errors(flown: Flown, published: Published) -> WindowErrors:
-    """Run the model through the window of every tick that the measurements cover.
-
-    Raises
-    ------
-    ValueError
-        If stamps do not rise or shapes do not match.
-    """
-    _check(flown, published)
+    """Run the model through the window of every tick that the measurements cover."""
     covered = _covered(flown, published.t_ns, HORIZONS[0])
     if not covered.any():
         return WindowErrors.none()
@@ -347,19 +274,9 @@ def predict_ahead(
 ) -> tuple[TimeArray, FloatArray]:
     """Predict from every tick to one `horizon`, s, later, where the measurements cover that.
 
-    Returns
-    -------
-    t_ns : (W,) int array
-        Times that the predictions are for, ns: a tick plus the horizon.
-    predicted : (W, 3) array
-        Predicted p, q, r, rad/s, FRD: the rates at the end of the windows of `window_errors`.
-
-    Raises
-    ------
-    ValueError
-        If stamps do not rise or shapes do not match.
+    Returned are the times that the predictions are for, ns, (W,), and the rates at the end of the
+    windows of `window_errors`, (W, 3).
     """
-    _check(flown, published)
     published = published.chosen(_covered(flown, published.t_ns, horizon))
     ticks = published.t_ns
     if not len(ticks):
@@ -371,24 +288,6 @@ def predict_ahead(
         reached = node == last
         predicted[reached] = rates[:, reached].T
     return ends, predicted
-
-
-def _check(flown: Flown, published: Published) -> None:
-    stamped = (("rates", flown.t_ns), ("inputs", flown.inputs.t_ns), ("ticks", published.t_ns))
-    for name, stamps in stamped:
-        if (np.diff(stamps) <= 0).any():
-            raise ValueError(f"the stamps of the {name} do not rise")
-    if len(flown.t_ns) != len(flown.rates) or len(flown.inputs.t_ns) != len(flown.inputs.u):
-        raise ValueError("stamps and samples differ in number")
-    structure, shape = published.structure, published.coefficients.shape
-    wanted = (len(published.t_ns), *structure.mask.shape)
-    if shape != wanted:
-        raise ValueError(
-            f"coefficients have shape {shape}: {wanted} is needed for the ticks and structure "
-            f"'{structure.name}'"
-        )
-    if structure.has_flow and published.flow is None:
-        raise ValueError(f"structure '{structure.name}' needs the flow states of the ticks")
 
 
 def _covered(flown: Flown, ticks_ns: TimeArray, horizon: float) -> BoolArray:
@@ -489,22 +388,14 @@ def _squared_errors(
 
 
 def _predictions(
-    flown: Flown, grid: _Grid, published: Published, last: TimeArray, *, free: bool
+    flown: Flown,
+    grid: _Grid,
+    published: Published,
+    last: TimeArray,  # (W,) The node at which each window ends
+    *,
+    free: bool,  # Whether the forces are the model's own, or held; as measured if not
 ) -> Iterator[tuple[TimeArray, FloatArray]]:
-    """Run the model in W windows side by side, until all are at their `last` node, (W,).
-
-    Parameters
-    ----------
-    free : bool
-        Whether the forces are the model's own, or held; as measured if not.
-
-    Yields
-    ------
-    node : (W,) int array
-        Where on the grid each window is.
-    rates : (3, W) array
-        Predicted rates there.
-    """
+    """Run the model in W windows side by side; yield the node of each, and its rates, (3, W)."""
     structure, a = published.structure, published.coefficients
     node = start = np.searchsorted(grid.t_ns, published.t_ns)
     state = list(_interpolated(published.t_ns, flown.t_ns, flown.rates).T)
