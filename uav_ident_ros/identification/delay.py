@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -228,8 +228,7 @@ class DelayBank:
         self._pick = first[:, None, None] + steps  # (J, W, N + 2): one more step on both sides
         self._errors: deque[FloatArray] = deque(maxlen=BLOCKS)
         self._power: FloatArray = np.zeros((len(LAGS), len(INPUTS)))  # Of the inputs with each lag
-        self._block: Iterator[FloatArray | None] | None = None
-        self._found: list[FloatArray | None] = []
+        self._block: Generator[None, None, bool] | None = None
         self._response, self._told = InjectedResponse(), NO_ESTIMATE
         if before is not None:
             self._response, known = before._response, before.estimate
@@ -332,18 +331,33 @@ class DelayBank:
         return _Signals(x, force, down, airspeed, means, bool(injected.any()))
 
     def _work(self) -> bool:
-        """Do one part of what is to be done for a block; say whether it was the last."""
+        """Do one part of what is to be done for a block; say whether there is a new estimate."""
         if self._block is None:
             return False
         try:
-            self._found.append(next(self._block))
-            return False
-        except StopIteration:
+            next(self._block)
+        except StopIteration as done:
             self._block = None
-        found, self._found = [e for e in self._found if e is not None], []
-        if len(found) < len(LAGS):
+            return bool(done.value)
+        return False
+
+    def _judge_models(self, signals: _Signals) -> Generator[None, None, bool]:
+        """Score the models with each lag on a block and teach them, in steps; then judge."""
+        self._power *= _KEEP
+        found = []
+        for power, lag, models in zip(self._power, LAGS, self._models, strict=True):
+            u = _lagged(signals.u, lag)
+            power += u.var(axis=0)
+            found.append(models.score(signals, u[self._pick]))
+            yield
+            models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
+            yield
+        if signals.injected and self._response.windows > 2 * FEWEST_BLOCKS:
+            yield from self._ask_response()
+        errors = [e for e in found if e is not None]  # none by models that know nothing yet
+        if not errors:
             return False
-        self._errors.append(np.stack(found))
+        self._errors.append(np.stack(errors))
         if len(self._errors) >= FEWEST_BLOCKS:
             opposed = False if self._has_flow else self._models[0].opposed(self._early)
             bank = judge(np.stack(self._errors), self.delays, self._lag, opposed)
@@ -351,18 +365,6 @@ class DelayBank:
                 bank = replace(bank, total_sigma=max(bank.total_sigma, self._told.total_sigma))
             self.estimate = self._told if self._told.total_sure else bank
         return True
-
-    def _judge_models(self, signals: _Signals) -> Iterator[FloatArray | None]:
-        """Yield the prediction errors of the models with each lag, (J, 3), and teach them."""
-        self._power *= _KEEP
-        for power, lag, models in zip(self._power, LAGS, self._models, strict=True):
-            u = _lagged(signals.u, lag)
-            power += u.var(axis=0)
-            yield models.score(signals, u[self._pick])
-            models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
-            yield None
-        if signals.injected and self._response.windows > 2 * FEWEST_BLOCKS:
-            yield from self._ask_response()
 
     def _ask_response(self) -> Generator[None]:
         """Take what the response to what is injected tells, if anything."""
