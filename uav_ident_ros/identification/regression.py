@@ -63,24 +63,13 @@ class Layout:
     Without flow angles they are those of the structure. With them ay, az stand where the
     structure has beta, alpha, and more columns follow: the kinematics of both angles, and the
     derivatives of the rates and the surfaces that add to their forces.
-
-    Parameters
-    ----------
-    rows, size : int
-        Rows, and columns of f.
-    index : (rows, k) int array
-        Columns that each row is regressed on.
-    place : (rows, k, 2) int array
-        Row and column of the structure that each of them estimates.
-    used : (rows, k) bool array
-        Which of the k are there; a row may have fewer.
     """
 
     rows: int
-    size: int
-    index: NDArray[np.intp]
-    place: NDArray[np.intp]
-    used: BoolArray
+    size: int  # Columns of f
+    index: NDArray[np.intp]  # (rows, k) Columns that each row is regressed on
+    place: NDArray[np.intp]  # (rows, k, 2) Row and column of the structure that each estimates
+    used: BoolArray  # (rows, k) Which of the k are there; a row may have fewer
 
     @cached_property
     def width(self) -> int:
@@ -308,21 +297,14 @@ class StateVariableFilter:
 
     At a restart the filters of what is differentiated start in equilibrium and all others from
     zero: then the equation holds from the first sample on, without a transient.
-
-    Parameters
-    ----------
-    structure : Structure
-        The structure of the model.
-    cutoff : float
-        Cut-off of the low-pass, rad/s.
-    h : float
-        Width of the cells, s.
-    lever_arm : (3,) array
-        Position of the accelerometer from the centre of gravity, m, FRD.
     """
 
     def __init__(
-        self, structure: Structure, cutoff: float, h: float, lever_arm: FloatArray
+        self,
+        structure: Structure,
+        cutoff: float,  # Of the low-pass, rad/s
+        h: float,  # Width of the cells, s
+        lever_arm: FloatArray,  # (3,) Of the accelerometer from the centre of gravity, m, FRD
     ) -> None:
         self._structure = structure
         self._lever = lever_arm_matrix(lever_arm)
@@ -356,29 +338,16 @@ class StateVariableFilter:
 
     def apply(
         self,
-        block: Block,
-        model_states: FloatArray,
+        block: Block,  # Signals over m cells
+        model_states: FloatArray,  # (m + 1, 3 or 8) State of the identified model at the edges
+        # (n,) Factor of each of the structure's regressors in the moment rows at the airspeed flown
         scale: FloatArray | None = None,
+        # (R, n) Those that the model ran with: they say what forces it makes
         coefficients: FloatArray | None = None,
+        # (m, 4) The injected part of the inputs, if the model ran on that alone
         driven_by: FloatArray | None = None,
     ) -> Regression:
-        """Filter one block.
-
-        Parameters
-        ----------
-        block : Block
-            Signals over m cells.
-        model_states : (m + 1, 3 or 8) array
-            State of the identified model at the edges.
-        scale : (n,) array, optional
-            Factor of each of the structure's regressors in the moment rows at the airspeed flown;
-            one if left out.
-        coefficients : (R, n) array, optional
-            Those that the model ran with: they say what forces it makes.
-        driven_by : (m, 4) array, optional
-            Inputs that the model ran on: the part that was injected on purpose, where the
-            instruments are to be free of feedback; all of them if left out.
-        """
+        """Filter one block."""
         injected = driven_by is not None
         inputs = block.u if driven_by is None else driven_by
         lines, held = self._channels(block, model_states, inputs, coefficients)
@@ -487,11 +456,6 @@ class BackwardDifference:
     """Regression problem of one sample a tick: ``xdot = (x_k - x_(k-1)) / dt``.
 
     Kept to reproduce the paper exactly; at 20 Hz it ruins the estimate even without noise.
-
-    Parameters
-    ----------
-    structure : Structure
-        The regressors.
     """
 
     def __init__(self, structure: Structure) -> None:
@@ -499,23 +463,14 @@ class BackwardDifference:
         self._before: tuple[int, FloatArray] | None = None
 
     def step(
-        self, t_ns: int, x: FloatArray, u: FloatArray, force: FloatArray, dt: float
+        self,
+        t_ns: int,  # Of the tick
+        x: FloatArray,  # (3,) Rates at the tick, rad/s, FRD
+        u: FloatArray,  # (4,) Inputs at the tick
+        force: FloatArray,  # (2,) Specific forces ay, az at the tick, m/s^2
+        dt: float,  # Between ticks, s
     ) -> Regression | None:
-        """Return the sample of this tick, None at the first one.
-
-        Parameters
-        ----------
-        t_ns : int
-            Time of the tick, ns.
-        x : (3,) array
-            Rates at the tick, rad/s, FRD.
-        u : (4,) array
-            Inputs at the tick.
-        force : (2,) array
-            Specific forces ay, az at the tick, m/s^2.
-        dt : float
-            Time between ticks, s.
-        """
+        """Return the sample of this tick, None at the first one."""
         before, self._before = self._before, (t_ns, x)
         if before is None or (t_ns - before[0]) * 1e-9 > 1.5 * dt:
             return None

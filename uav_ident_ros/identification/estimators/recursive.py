@@ -48,7 +48,9 @@ class RecursiveRegression:
     runs the same estimate with the residuals whitened: where an autopilot answers gusts, and
     nothing else moves its surfaces, the plain estimate is the autopilot's, the whitened one less
     so; with excitation they agree. Beside least squares runs the instrumental variable, too: the
-    bias in gusts is many times what its own residuals tell. Sigma covers the distances.
+    bias in gusts is many times what its own residuals tell. Sigma covers the distances. All of them
+    are parts of `information`: the estimate in use, the whitened one, and the reference of least
+    squares. What other members mean `Estimator` says.
 
     Parameters
     ----------
@@ -63,20 +65,6 @@ class RecursiveRegression:
         The same of who was told nothing: what the flight alone tells. What was told is withdrawn
         where that contradicts it; whether inputs answer disturbances is judged by its residuals,
         since those of a wrong model follow the inputs.
-
-    Attributes
-    ----------
-    coefficients, sigma : (R, n) array
-        Estimate and standard deviations; 0 where a coefficient is not free.
-    learning, clear : (3,) bool array
-        Moment rows that learned at the last update; in which the inputs stand out.
-    model_error, height, answers, inputs
-        As of the last update; see `Estimator`.
-    changes, contradicted : list of (row, column)
-        Coefficients released at the last update; those of them that were told wrong.
-    information : Information
-        What the flight has told: the estimate in use, the whitened one, and the reference of least
-        squares.
     """
 
     def __init__(
