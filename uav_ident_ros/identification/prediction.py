@@ -177,10 +177,6 @@ class Flown:
     force: FloatArray  # (N, 2) ay, az, m/s^2, FRD, at the gyro samples
     lever_arm: FloatArray  # (3,) Of the accelerometer from the centre of gravity, m, FRD
 
-    def steady_force(self) -> FloatArray:
-        """Return ay, az less their centripetal part, m/s^2, shape (N, 2)."""
-        return self.force - centripetal(self.rates, self.lever_arm)
-
 
 @dataclass(frozen=True)
 class Published:
@@ -341,7 +337,8 @@ class _Grid:
 
     @classmethod
     def build(cls, flown: Flown, ticks: TimeArray) -> _Grid:
-        t_ns, inputs, force = flown.t_ns, flown.inputs, flown.steady_force()
+        t_ns, inputs = flown.t_ns, flown.inputs
+        force = flown.force - centripetal(flown.rates, flown.lever_arm)
         corners = inputs.t_ns + inputs.delay_ns
         corners = corners[(corners > t_ns[0]) & (corners < t_ns[-1])]
         nodes = np.unique(np.concatenate([t_ns, ticks, corners]))

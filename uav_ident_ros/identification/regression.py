@@ -135,7 +135,8 @@ def differentiated_columns(structure: Structure) -> list[int]:
 @lru_cache(maxsize=16)
 def layout(structure: Structure) -> Layout:
     """Return the layout of the regression problem of a structure."""
-    rows = [[(j, (i, j)) for j in np.flatnonzero(row)] for i, row in enumerate(structure.mask[:3])]
+    # Of each entry: its column, and the row and column of the structure that it estimates
+    rows = [[(j, i, j) for j in np.flatnonzero(row)] for i, row in enumerate(structure.mask[:3])]
     size = structure.size
     if structure.has_flow:
         differentiated = differentiated_columns(structure)
@@ -143,20 +144,16 @@ def layout(structure: Structure) -> Layout:
             first = size + len(structure.flow)
             rows.append(
                 [
-                    (size + k, (flow.force, flow.angle)),
-                    *((first + differentiated.index(j), (flow.force, j)) for j in flow.others),
-                    *((j, (flow.kinematics, j)) for j in flow.missing),
+                    (size + k, flow.force, flow.angle),
+                    *((first + differentiated.index(j), flow.force, j) for j in flow.others),
+                    *((j, flow.kinematics, j) for j in flow.missing),
                 ]
             )
         size += len(structure.flow) + len(differentiated)
     width = max(len(row) for row in rows)
-    index = np.zeros((len(rows), width), dtype=np.intp)
-    place = np.zeros((len(rows), width, 2), dtype=np.intp)
-    used = np.zeros((len(rows), width), dtype=bool)
-    for i, row in enumerate(rows):
-        for k, (column, where) in enumerate(row):
-            index[i, k], place[i, k], used[i, k] = column, where, True
-    return Layout(len(rows), size, index, place, used)
+    entries = np.array([row + [(0, 0, 0)] * (width - len(row)) for row in rows], dtype=np.intp)
+    used = np.arange(width) < np.array([[len(row)] for row in rows])
+    return Layout(len(rows), size, entries[..., 0], entries[..., 1:], used)
 
 
 @dataclass
