@@ -63,10 +63,8 @@ class DelayMeter:
 
     def restart(self) -> None:
         """Forget what was measured, but not what is believed."""
-        # sums over f f' and f answered of each delay and axis, f = (made, xdot); over answered^2
-        self._cross = np.zeros((len(self.delays), 3, 2, 2))
-        self._products = np.zeros((len(self.delays), 3, 2))
-        self._squares = np.zeros((len(self.delays), 3))
+        # Of each delay and axis the products of made, xdot and answered with one another, summed up
+        self._products = np.zeros((len(self.delays), 3, 3, 3))
         self._weight = self._since = 0.0
         # Another delay that explains the flight better, counted, if not surely: then what looks
         # like another effect of the inputs may be the delay's
@@ -80,11 +78,9 @@ class DelayMeter:
         dt: float,  # Time since the last sample, s
     ) -> bool:
         """Take one sample; return whether another delay is believed from now on."""
-        f = np.stack([made, np.broadcast_to(acceleration, made.shape)], axis=-1)
+        f = np.stack([made, np.broadcast_to(acceleration, made.shape), answered], axis=-1)
         keep = np.exp(-dt / MEMORY)
-        self._cross = keep * self._cross + dt * f[..., :, None] * f[..., None, :]
-        self._products = keep * self._products + dt * f * answered[..., None]
-        self._squares = keep * self._squares + dt * answered**2
+        self._products = keep * self._products + dt * f[..., :, None] * f[..., None, :]
         self._weight = keep * self._weight + dt
         self._since += dt
         if self._since < PERIOD:
@@ -100,13 +96,12 @@ class DelayMeter:
 
     def likelihood(self) -> FloatArray:
         """Return the log-likelihood of each delay but for a constant."""
-        (mm, ma), (_, aa) = np.moveaxis(self._cross, (2, 3), (0, 1))
-        my, ay = np.moveaxis(self._products, 2, 0)
+        (mm, ma, my), (_, aa, ay), (_, _, yy) = np.moveaxis(self._products, (2, 3), (0, 1))
         rest = ay / np.where(aa > 0.0, aa, 1.0)
         alone = np.maximum(mm - ma**2 / np.where(aa > 0.0, aa, 1.0), 0.0)
         aligned = np.maximum(my - ma * rest, 0.0)  # an effect of the other sign is no delay
         explained = aligned**2 / np.where(alone > 0.0, alone, 1.0) + rest * ay
-        squares = np.where(self._squares > 0.0, self._squares, 1.0)
+        squares = np.where(yy > 0.0, yy, 1.0)
         left = np.maximum(squares - explained, NOTHING * squares)
         samples = self._weight * BANDWIDTH / 2.0
         return np.asarray(-0.5 * samples * np.log(left).sum(axis=-1))

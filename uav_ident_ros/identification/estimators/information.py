@@ -112,7 +112,7 @@ class Sums:
         return np.asarray(products[..., 0])
 
     def weigh(self, keep: FloatArray) -> None:
-        """Let all samples so far count for `keep` of what they did, (rows,) or (parts, 1)."""
+        """Let all samples so far count for `keep` of what they did, (rows,)."""
         self.table *= keep[..., None]
         self.scores *= keep[..., None, None]
 
