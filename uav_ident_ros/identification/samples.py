@@ -8,7 +8,7 @@ passed it by `input_wait`, and uses every sample stamped at or before it.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
@@ -30,43 +30,37 @@ NS = 1e-9
 
 
 class SampleBuffer:
-    """Samples of one stream, cheap to append to.
+    """Samples of one stream, cheap to append to."""
 
-    Parameters
-    ----------
-    width : int
-        Values per sample.
-
-    Attributes
-    ----------
-    t : (k,) int array
-        Stamps of the samples in use, ns, strictly rising.
-    v : (k, width) array
-        Their values.
-    """
-
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int) -> None:  # Values per sample
         self._width = width
         self.clear()
 
     def clear(self) -> None:
         """Drop everything."""
+        # What waits for a tick, in the order of the stamps
         self._waiting_t: list[int] = []
         self._waiting_v: list[Sequence[float]] = []
-        self._ordered = True
+        # Samples in use: stamps, ns, strictly rising, and values, (k, width)
         self.t: TimeArray = np.empty(0, dtype=np.int64)
         self.v: FloatArray = np.empty((0, self._width))
 
-    def append(self, t_ns: int, values: Sequence[float]) -> None:
-        """Keep a sample until a tick at or after its stamp asks for it."""
-        if self._waiting_t and t_ns <= self._waiting_t[-1]:
-            self._ordered = False
-        self._waiting_t.append(t_ns)
-        self._waiting_v.append(values)
+    def append(self, t_ns: int, values: Sequence[float]) -> bool:
+        """Keep a sample until a tick at or after its stamp asks for it.
+
+        Of samples with one stamp the first to arrive counts: False is returned for the others.
+        """
+        at = bisect_left(self._waiting_t, t_ns)
+        if self._waiting_t[at : at + 1] == [t_ns]:
+            return False
+        self._waiting_t.insert(at, t_ns)
+        self._waiting_v.insert(at, values)
+        return True
 
     def call_off(self, t_ns: int) -> None:
         """Drop what waits and is stamped at or after `t_ns`."""
-        self._keep([i for i, t in enumerate(self._waiting_t) if t < t_ns])
+        first = bisect_left(self._waiting_t, t_ns)
+        del self._waiting_t[first:], self._waiting_v[first:]
 
     def forget_waiting(self, newest_ns: int, span_ns: int) -> None:
         """Keep only the last `span_ns` of what waits, where nothing asks for it yet.
@@ -74,41 +68,16 @@ class SampleBuffer:
         The span may be exceeded twofold, so that the work is not done at every sample.
         """
         if self._waiting_t and self._waiting_t[0] < newest_ns - 2 * span_ns:
-            self._keep([i for i, t in enumerate(self._waiting_t) if t >= newest_ns - span_ns])
+            first = bisect_left(self._waiting_t, newest_ns - span_ns)
+            del self._waiting_t[:first], self._waiting_v[:first]
 
-    def _keep(self, kept: list[int]) -> None:
-        """Keep only these of what waits."""
-        self._waiting_t = [self._waiting_t[i] for i in kept]
-        self._waiting_v = [self._waiting_v[i] for i in kept]
-
-    def merge(self, t_ns: int) -> int:
-        """Bring the samples stamped at or before `t_ns` into use.
-
-        Of samples with one stamp the first to arrive counts.
-
-        Returns
-        -------
-        int
-            Number of duplicates dropped.
-        """
-        if not self._waiting_t:
-            return 0
-        duplicates = 0 if self._ordered else self._order()
+    def merge(self, t_ns: int) -> None:
+        """Bring the samples stamped at or before `t_ns` into use."""
         ready = bisect_right(self._waiting_t, t_ns)
         if ready:
             self.t = np.concatenate((self.t, self._waiting_t[:ready]))
             self.v = np.concatenate((self.v, self._waiting_v[:ready]))
             del self._waiting_t[:ready], self._waiting_v[:ready]
-        return duplicates
-
-    def _order(self) -> int:
-        """Put what waits in order of the stamps; return the number of duplicates dropped."""
-        before = len(self._waiting_t)
-        first = dict(zip(reversed(self._waiting_t), reversed(self._waiting_v), strict=True))
-        self._waiting_t = sorted(first)
-        self._waiting_v = [first[t] for t in self._waiting_t]
-        self._ordered = True
-        return before - len(self._waiting_t)
 
     def leave_out(self, which: BoolArray) -> None:
         """Drop some of the newest samples in use, chosen by a bool array of their number."""
@@ -125,13 +94,7 @@ class SampleBuffer:
             self.t, self.v = self.t[first:], self.v[first:]
 
     def interpolate(self, t_ns: TimeArray) -> FloatArray:
-        """Straight lines through the samples in use, at `t_ns` within their span.
-
-        Returns
-        -------
-        (len(t_ns), width) array
-            The values.
-        """
+        """Return straight lines through the samples in use, at `t_ns` within their span."""
         if len(self.t) == len(t_ns) and (self.t == t_ns).all():
             return self.v
         right = np.maximum(self.t.searchsorted(t_ns), 1)
@@ -187,17 +150,7 @@ def time_problem(t_ns: int) -> Drop | None:
 
 
 def value_problem(values: Sequence[float], count: int, largest: float) -> Drop | None:
-    """Return why a sample's values cannot be used; None if they can.
-
-    Parameters
-    ----------
-    values : sequence of floats
-        The values, any unit.
-    count : int
-        How many there must be.
-    largest : float
-        Magnitude that none may exceed.
-    """
+    """Return why a sample of `count` values up to `largest` cannot be used; None if it can."""
     if len(values) != count:
         return Drop.WRONG_LENGTH
     if not math.isfinite(sum(values)):
@@ -234,15 +187,10 @@ class ClockSteps:
     stamps then leave out, or repeat, a time in which those of the rates went on as ever. What was
     learned holds for the clocks as they were. A pause of either stream is none, nor is a message
     that takes longer: then the stamps fit again as soon as the others have caught up.
-
-    Attributes
-    ----------
-    steps : list of int
-        Size of each step so far, ns.
     """
 
     def __init__(self) -> None:
-        self.steps: list[int] = []
+        self.steps: list[int] = []  # Size of each so far, ns
         # Of the last samples: stamps, and how far they were from the newest of the rates, ns
         self._stamps: deque[int] = deque(maxlen=USUAL)
         self._offsets: deque[int] = deque(maxlen=USUAL)
@@ -256,12 +204,7 @@ class ClockSteps:
     def put_right(self, t_ns: int, newest_ns: int | None) -> int:
         """Return the stamp of a sample as it would be had the clock not stepped, ns.
 
-        Parameters
-        ----------
-        t_ns : int
-            Its stamp, ns.
-        newest_ns : int or None
-            Newest stamp of the rates as it arrives, ns; None before any.
+        As it arrives the newest stamp of the rates is `newest_ns`; None before any.
         """
         t_ns -= self.taken_back_ns
         if newest_ns is None:
@@ -319,30 +262,14 @@ Sample = tuple[int, Sequence[float], Sequence[float]]
 
 
 class Intake:
-    """What arrives, until a tick takes it.
+    """What arrives, until a tick takes it."""
 
-    Parameters
-    ----------
-    settings : Settings
-        Rates and waits of ticks, number of channels.
-    restart : callable
-        Starts all that works on the samples on a new time base; it calls `restart`.
-
-    Attributes
-    ----------
-    drops : dict
-        For each stream, how many samples were dropped for which reason.
-    fault : str
-        What is wrong with the clocks, in a sentence; empty if nothing is.
-    newest_ns : int or None
-        Newest stamp of the rates, ns; None before any.
-    clock_steps : ClockSteps
-        How the clock of the actuators has stepped.
-    last_tick_ns : int
-        Time of the last tick that was due or run, ns.
-    """
-
-    def __init__(self, settings: Settings, restart: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        # Starts all that works on the samples on a new time base; it calls `restart`
+        restart: Callable[[], None],
+    ) -> None:
         channels = len(settings.actuators.channels)
         self._streams = {
             ACTUATORS: Stream(channels, LARGEST_NUMBER),
@@ -357,8 +284,9 @@ class Intake:
         self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
         self._lookback_ns += 2 * self._jump_ns
         self._buffers: Mapping[str, SampleBuffer] = {}
+        # For each stream, how many samples were dropped for which reason
         self.drops: dict[str, Counter[Drop]] = {name: Counter() for name in (RATES, *self._streams)}
-        self.fault = ""
+        self.fault = ""  # What is wrong with the clocks, in a sentence
         self.restart()
 
     def fill(self, buffers: Mapping[str, SampleBuffer]) -> None:
@@ -367,14 +295,14 @@ class Intake:
 
     def restart(self) -> None:
         """Start on a new time base: what waits is forgotten."""
-        self.newest_ns: int | None = None
+        self.newest_ns: int | None = None  # Of the stamps of the rates
         self._outlying: list[Sample] = []
         self._held: list[Callable[[], object]] | None = None
         self._mismatches = 0
-        self.clock_steps = ClockSteps()
+        self.clock_steps = ClockSteps()  # Of the actuators
         self._due: deque[int] = deque()
         self._next_tick: int | None = None
-        self.last_tick_ns = NO_TICK
+        self.last_tick_ns = NO_TICK  # Of those that were due or run
 
     @property
     def waiting(self) -> int:
@@ -406,7 +334,8 @@ class Intake:
         self._outlying.clear()
         if t_ns <= self.last_tick_ns:
             return Drop.LATE
-        self._buffers[RATES].append(t_ns, (*pqr, *force))
+        if not self._buffers[RATES].append(t_ns, (*pqr, *force)):
+            return Drop.DUPLICATE
         if self.last_tick_ns == NO_TICK:
             # The first samples may come in any order too.
             first = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
@@ -466,15 +395,16 @@ class Intake:
         if problem is Drop.LATE and stream.kept_if_late:
             waited_for = own and bool(self._due) and t_ns >= self._due[0]
             t_ns, problem = t_ns if waited_for else self.last_tick_ns + 1, None
+        if problem is None:
+            if stream.calls_off:
+                buffer.call_off(t_ns)
+            if not buffer.append(t_ns, values):
+                problem = Drop.DUPLICATE
+            elif self._next_tick is None:
+                buffer.forget_waiting(t_ns, self._lookback_ns)
         if problem is not None:
             self.drops[name][problem] += 1
-            return problem
-        if stream.calls_off:
-            buffer.call_off(t_ns)
-        buffer.append(t_ns, values)
-        if self._next_tick is None:
-            buffer.forget_waiting(t_ns, self._lookback_ns)
-        return None
+        return problem
 
     def _stamp_problem(self, t_ns: int) -> Drop | None:
         """Say what is wrong with a stamp beside those of the rates."""
@@ -503,9 +433,8 @@ class Intake:
 
     def merge(self, t_ns: int) -> None:
         """Bring the samples of all streams stamped at or before `t_ns` into use."""
-        for name, buffer in self._buffers.items():
-            if duplicates := buffer.merge(t_ns):
-                self.drops[name][Drop.DUPLICATE] += duplicates
+        for buffer in self._buffers.values():
+            buffer.merge(t_ns)
 
     @property
     def due(self) -> int | None:
