@@ -45,7 +45,6 @@ CHANCE = math.erfc(SURE / math.sqrt(2.0))
 SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 """What an Imu measures, in its own axes."""
 
-
 AXES = 3
 """Signals of each sensor of an Imu."""
 
@@ -92,22 +91,9 @@ ROW_GATES: Mapping[str, tuple[str, str]] = {
 
 
 class Gates:
-    """The table of gates, and what each of them has cost.
+    """The table of gates, and what each of them has cost."""
 
-    Parameters
-    ----------
-    more : sequence of Gate
-        Gates of one's own, beside those of the table.
-
-    Attributes
-    ----------
-    closed : str
-        Why nothing is learned at this tick; empty if every gate is open.
-    unreadable : bool
-        Whether the signals of this tick must not be scored either.
-    """
-
-    def __init__(self, more: Sequence[Gate] = ()) -> None:
+    def __init__(self, more: Sequence[Gate] = ()) -> None:  # Of one's own, beside the table
         self._more = more
         self._ticks = 0
         self._closed: Counter[str] = Counter()
@@ -116,7 +102,8 @@ class Gates:
 
     def restart(self) -> None:
         """Begin a new stretch of signals; what was counted stays."""
-        self.closed, self.unreadable = "", False
+        self.closed = ""  # Why nothing is learned at this tick; empty if every gate is open
+        self.unreadable = False  # Whether the signals of this tick must not be scored either
         self.table: tuple[Gate, ...] = (
             Gate("implausible", "supervision.plausibility", lambda look: look.implausible, True),
             Gate(
@@ -170,15 +157,9 @@ class Gates:
 
 
 class TickMeans:
-    """Means over each tick of what an Imu measures, of the newest ticks.
+    """Means over each tick of what an Imu measures, of the newest ticks."""
 
-    Parameters
-    ----------
-    span : float
-        Time for which they are kept, s.
-    """
-
-    def __init__(self, span: float) -> None:
+    def __init__(self, span: float) -> None:  # Time for which they are kept, s
         self._span = span
         self._new: list[tuple[float, FloatArray]] = []
         self._means: FloatArray = np.empty((0, 1 + len(SIGNALS)))
@@ -211,16 +192,12 @@ class GlitchFilter:
     def __init__(self) -> None:
         self._run = 0
 
-    def find(self, rates: FloatArray, max_rate: float) -> BoolArray | None:
-        """Return which samples are glitches, shape (k,); None if all are well within the range.
-
-        Parameters
-        ----------
-        rates : (k, 3) array
-            New rates, rad/s, Imu axes.
-        max_rate : float
-            Range of the gyro, rad/s; 0 if it is not known, and nothing is a glitch.
-        """
+    def find(
+        self,
+        rates: FloatArray,  # (k, 3) New ones, rad/s, Imu axes
+        max_rate: float,  # Range of the gyro, rad/s; 0 if it is not known: nothing is a glitch
+    ) -> BoolArray | None:
+        """Return which samples are glitches, shape (k,); None if all are well within the range."""
         if max_rate <= 0.0 or not len(rates) or np.maximum.reduce(np.abs(rates), None) < max_rate:
             self._run = 0
             return None
@@ -246,17 +223,14 @@ class SpikeFilter:
         self._last: FloatArray | None = None
         self._kept: FloatArray = np.zeros(len(SIGNALS))
 
-    def find(self, samples: FloatArray, dt: float) -> BoolArray | None:
+    def find(
+        self,
+        samples: FloatArray,  # (k, 6) New ones
+        dt: float,  # Time that they stand for, s
+    ) -> BoolArray | None:
         """Return which samples are spikes, shape (k,); None if none is.
 
         The last one has no neighbour after it yet: it counts as one if it leaves all before it.
-
-        Parameters
-        ----------
-        samples : (k, 6) array
-            New samples.
-        dt : float
-            Time that they stand for, s.
         """
         if not len(samples):
             return None
@@ -373,19 +347,9 @@ class Repeats:
     """How often each signal of the Imu repeats its value, and for how long at a time.
 
     A signal that rounds coarsely, or is logged slowly, repeats itself wherever it is quiet.
-
-    Parameters
-    ----------
-    first : (6,) array
-        The first sample.
-
-    Attributes
-    ----------
-    strange : (6,) bool array
-        Signals whose present run of equal values is no habit of theirs: it will not count as one.
     """
 
-    def __init__(self, first: FloatArray) -> None:
+    def __init__(self, first: FloatArray) -> None:  # (6,) The first sample
         self._last = first
         self._waiting: list[FloatArray] = []
         self._present: FloatArray = np.zeros(len(first))
@@ -393,7 +357,9 @@ class Repeats:
         self._runs: FloatArray = np.zeros(len(first))
         self._repeats: FloatArray = np.zeros(len(first))
         self._changes: FloatArray = np.ones(len(first))
-        self.strange: BoolArray = np.ones(len(first), dtype=bool)  # before it first moved
+        # Signals whose present run of equal values is no habit of theirs, as before they first
+        # moved: it will not count as one
+        self.strange: BoolArray = np.ones(len(first), dtype=bool)
 
     def add(self, samples: FloatArray) -> None:
         """Add new samples, (k, 6); those of many ticks are counted together."""
@@ -468,8 +434,7 @@ class RestGate:
         if len(means):
             self._looked = t
             what = _still(means, settings.min_motion, settings.min_force_motion)
-            slow = slowest(look.settings.airspeed)
-            flies = look.airspeed is not None and look.airspeed > slow
+            flies = look.airspeed is not None and look.airspeed > slowest(look.settings.airspeed)
             self._reason = what and f"{'too quiet' if flies else 'at rest'}: {what}"
         return self._reason
 
@@ -496,12 +461,7 @@ def _noise(rates: FloatArray) -> float:
 def at_limit(raw: FloatArray, settings: ActuatorSettings) -> str:
     """Return which channel is at its limit: there the surface need not follow the command.
 
-    Parameters
-    ----------
-    raw : (k, N) array
-        Values of the channels that are still at work in the filters.
-    settings : ActuatorSettings
-        The channels and their limits.
+    The values, (k, N), are those that are still at work in the filters.
     """
     if not len(raw) or not (settings.lower_limit or settings.upper_limit):
         return ""
@@ -527,21 +487,13 @@ class ResidualGate:
         self._time[row] = 0.0
 
     def weigh(
-        self, residual: FloatArray, dt: float, max_residual: float, clear: BoolArray
+        self,
+        residual: FloatArray,  # (m, 3) Of the samples, rad/s^2
+        dt: float,  # Time that they stand for, s
+        max_residual: float,  # Relative to its usual size, what is too much; 0 for none
+        clear: BoolArray,  # (3,) Rows in which the inputs stand out from all else that moves it
     ) -> FloatArray:
-        """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
-
-        Parameters
-        ----------
-        residual : (m, 3) array
-            Their residuals, rad/s^2.
-        dt : float
-            Time that they stand for, s.
-        max_residual : float
-            Residual, relative to its usual size, that is too much; 0 for none.
-        clear : (3,) bool array
-            Rows in which the inputs stand out from all else that moves the aircraft.
-        """
+        """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1."""
         squares = (np.add.reduce(residual * residual) / len(residual)).tolist()
         weights = []
         for i, (square, stands_out) in enumerate(zip(squares, clear.tolist(), strict=True)):
@@ -561,23 +513,15 @@ class ResidualGate:
 def grounded(settings: Settings, armed: bool | None, airspeed: float | None) -> str:
     """Return why it does not fly; empty if there is no reason to think so.
 
-    Parameters
-    ----------
-    settings : Settings
-        Whether there is a topic that tells of being armed, and the airspeeds below which it does
-        not fly, or below which the scaling with the airspeed is not believed.
-    armed : bool or None
-        Whether the motors are armed; None if nothing was heard of it.
-    airspeed : float or None
-        True airspeed, m/s; None if there is none.
+    None is what nothing was heard of; the airspeed is the true one, m/s.
     """
-    min_airspeed = settings.supervision.min_airspeed
     if settings.armed.type and not armed:
         return "not armed" if armed is not None else "no message says that it is armed"
-    if airspeed is not None and airspeed < min_airspeed:
-        return f"not flying: the airspeed is below {min_airspeed:g} m/s"
-    slow = slowest(settings.airspeed)
-    if airspeed is not None and airspeed < slow:
+    if airspeed is None:
+        return ""
+    if airspeed < (least := settings.supervision.min_airspeed):
+        return f"not flying: the airspeed is below {least:g} m/s"
+    if airspeed < (slow := slowest(settings.airspeed)):
         return (
             f"not flying: the airspeed is below {slow:.2g} m/s, a third of 'airspeed.reference'; "
             "in flight look at the pitot tube, or set that to the speed flown"

@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.flow import GRAVITY_BAND
-from uav_ident_ros.identification.frames import BodyFrame, rotation
+from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.gates import TickMeans
 from uav_ident_ros.identification.linearisation import damping
 from uav_ident_ros.identification.model import GRAVITY
@@ -122,18 +122,7 @@ class Doubt(NamedTuple):
 
 
 class Plausibility:
-    """Looks at the signals for mistakes in how they are read.
-
-    Parameters
-    ----------
-    settings : Settings
-        How they are read.
-
-    Attributes
-    ----------
-    noted : dict
-        Everything that was found since the start, by name, as it was last seen.
-    """
+    """Looks at the signals for mistakes in how they are read."""
 
     def __init__(self, settings: Settings) -> None:
         self._imu = settings.imu
@@ -143,10 +132,11 @@ class Plausibility:
         self._structure = STRUCTURES[settings.structure]
         self._expected = settings.supervision.expected_signs
         self._multirotor = settings.actuators.multirotor
+        # Of the direction of the specific force, of itself, and of its size, times s
         self._sums: FloatArray = np.zeros(7)
-        """Of the direction of the specific force, of itself, and of its size, times s."""
         self._time = 0.0
         self._found: dict[str, tuple[float, Finding]] = {}
+        # Everything that was found since the start, by name, as it was last seen
         self.noted: dict[str, Finding] = {}
         self.restart()
 
@@ -191,13 +181,7 @@ class Plausibility:
         self.noted[finding.name] = finding
 
     def judge(self, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Look at what was learned for channels that are swapped or reversed.
-
-        Parameters
-        ----------
-        coefficients, sigma : (rows, n) arrays
-            Estimate and standard deviations.
-        """
+        """Look at what was learned for channels that are swapped or reversed."""
         known = (self._structure, coefficients, sigma, self._expected)
         find = partial(coefficient_finding, *known, multirotor=self._multirotor)
         found, before = find(), self._doubt
@@ -211,18 +195,13 @@ class Plausibility:
             confirmed = before.confirmed or self._now - before.since >= ENOUGH
             self._doubt = Doubt(before.since, found, confirmed)
 
-    def look(self, t: float, samples: FloatArray, raw: FloatArray) -> None:
-        """Look at what came with a tick.
-
-        Parameters
-        ----------
-        t : float
-            Time of the tick, s.
-        samples : (k, 6) array
-            Rates, rad/s, and specific forces, m/s^2, that came with it, Imu axes.
-        raw : (j, N) array
-            Raw channels that came with it.
-        """
+    def look(
+        self,
+        t: float,  # Time of the tick, s
+        samples: FloatArray,  # (k, 6) Rates, rad/s, and specific forces, m/s^2, Imu axes
+        raw: FloatArray,  # (j, N) Raw channels
+    ) -> None:
+        """Look at what came with a tick."""
         self._now = t
         if self._began is None:
             self._began = self._looked = t
@@ -297,17 +276,16 @@ class Plausibility:
 
     def _better_mounting(self, direction: FloatArray) -> str:
         """Say which convention or attitude of the Imu puts gravity where it belongs."""
-        own = self._frame.to_imu(direction)
-        other = "frd" if self._imu.convention == "flu" else "flu"
-        flipped = rotation(*self._imu.rpy) @ np.diag([1.0, -1.0, -1.0]) @ rotation(*self._imu.rpy).T
-        cures = []
-        if -(flipped @ direction)[2] > LARGEST_TILT:
-            cures.append(f"imu.convention '{other}' would fit, not '{self._imu.convention}'")
-        convention = np.diag([1.0, -1.0, -1.0]) if self._imu.convention == "flu" else np.eye(3)
-        quarter = 0.5 * math.pi
+        own, imu, quarter = self._frame.to_imu(direction), self._imu, 0.5 * math.pi
+
+        def up(**other: Any) -> float:
+            return -float(BodyFrame(replace(imu, **other)).to_body(own)[2])
+
+        other, cures = "frd" if imu.convention == "flu" else "flu", []
+        if up(convention=other) > LARGEST_TILT:
+            cures.append(f"imu.convention '{other}' would fit, not '{imu.convention}'")
         turns = [(r, 0) for r in (0, 2, 1, -1)] + [(0, 1), (0, -1)]
-        fits = [-(rotation(quarter * r, quarter * p, 0.0) @ convention @ own)[2] for r, p in turns]
-        roll, pitch = turns[int(np.argmax(fits))]
+        roll, pitch = max(turns, key=lambda t: up(rpy=(quarter * t[0], quarter * t[1], 0.0)))
         cures.append(
             f"{'or ' if cures else ''}the board is mounted with imu.rpy about "
             f"[{quarter * roll:.2f}, {quarter * pitch:.2f}, yaw]"
@@ -440,26 +418,12 @@ def coefficient_finding(
     structure: Structure,
     coefficients: FloatArray,
     sigma: FloatArray,
-    expected: tuple[str, ...],
-    sure: float = SURE,
+    expected: tuple[str, ...],  # Signs of control derivatives, as in ``+pdot/da``
+    sure: float = SURE,  # Standard deviations from which it counts
     *,
-    multirotor: bool = False,
+    multirotor: bool = False,  # Whether it has motors in place of surfaces, in words
 ) -> Finding | None:
-    """Find channels that are swapped or reversed, by what they were found to do.
-
-    Parameters
-    ----------
-    structure : Structure
-        Names the coefficients.
-    coefficients, sigma : (rows, n) arrays
-        Estimate and standard deviations.
-    expected : tuple of str
-        Signs of control derivatives, as in ``+pdot/da``.
-    sure : float
-        Standard deviations from which it counts.
-    multirotor : bool
-        Whether it has motors in place of surfaces, in words.
-    """
+    """Find channels that are swapped or reversed, by what they were found to do."""
     words = ("yaw and roll inputs", "motor") if multirotor else ("rudder and aileron", "surface")
     both, actuator = words
     for entry in expected:
@@ -510,53 +474,33 @@ class SetupError(NamedTuple):
 class SetupErrors:
     """Follows which settings are off, a delay or a mounting, and what that does.
 
-    Sigma is to cover it, and where it is much, the verdict names the setting.
-
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the coefficients; without flow angles nothing is found, since every gust
-        looks like a late input.
-    airspeed : float
-        True airspeed at which the coefficients hold, m/s.
+    Sigma is to cover it, and where it is much, the verdict names the setting. Without flow angles
+    nothing is found, since every gust looks like a late input.
     """
 
-    def __init__(self, structure: Structure, airspeed: float) -> None:
+    def __init__(
+        self,
+        structure: Structure,
+        airspeed: float,  # At which the coefficients hold, m/s
+    ) -> None:
         self._structure, self._airspeed = structure, airspeed
         self._found: list[SetupError] = []
 
     def look(
         self,
-        values: FloatArray,
-        estimate: DelayEstimate,
-        delay: float,
-        lag: float,
+        values: FloatArray,  # (R, n) Coefficients
+        estimate: DelayEstimate,  # What the flight says about the delay
+        delay: float,  # In use, s
+        lag: float,  # Of the servos, in use, s
+        # Share of each input, (4,), that the lag takes away for which the delay may stand
         lost: Callable[[], FloatArray],
-        height: float,
+        height: float,  # Of the accelerometer above where it is said to be, m; 0 for none
         *,
-        lag_is_told: bool,
+        lag_is_told: bool,  # Whether it is known, or a found delay may stand for another
+        # How much too long inputs are held that come seldom, s
         held: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        """Look at what the flight shows by now.
-
-        Parameters
-        ----------
-        values : (R, n) array
-            Coefficients.
-        estimate : DelayEstimate
-            What the flight says about the delay.
-        delay, lag : float
-            Delay and servo lag in use, s.
-        lost : callable
-            Returns the share of each input, (4,), that the lag takes away for which the delay may
-            stand.
-        height : float
-            Height of the accelerometer above where it is said to be, m; 0 for none.
-        lag_is_told : bool
-            Whether the lag in use is known, or a found delay may stand for another.
-        held : callable
-            Returns how much too long inputs are held that come seldom, s.
-        """
+        """Look at what the flight shows by now."""
         self._found = []
         if not self._structure.has_flow:
             return
