@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank
+from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank, DelayEstimate
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.excitation_run import Flying
@@ -58,7 +58,7 @@ from uav_ident_ros.identification.scales import (
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling, slowest
 from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
-from uav_ident_ros.identification.supervision import JUDGED_FROM, State, Supervisor
+from uav_ident_ros.identification.supervision import JUDGED_FROM, State, Supervisor, Verdict
 
 STRETCH_TIME = 4.0 * SAMPLE_TIME
 """Time that is learned from at once, s: the cost of an update hardly depends on how many samples it
@@ -272,13 +272,16 @@ class OnlineIdentifier:
     @property
     def delay_sigma(self) -> float:
         """Standard deviation of the delay in use, s; inf where it is as set."""
-        return self.delays.estimate.sigma if self.settings.actuators.estimate_delay else np.inf
+        return self._delay_estimate.sigma
 
     @property
     def delay_confidence(self) -> str:
         """Whether the flight shows the delay: ``none`` (as set), ``low`` or ``sure``."""
-        estimated = self.settings.actuators.estimate_delay
-        return self.delays.estimate.confidence if estimated else NO_ESTIMATE.confidence
+        return self._delay_estimate.confidence
+
+    @property
+    def _delay_estimate(self) -> DelayEstimate:
+        return self.delays.estimate if self.settings.actuators.estimate_delay else NO_ESTIMATE
 
     def _adopt_delay(self) -> None:
         """Pair rates and inputs anew where the flight shows another delay, or another lag.
@@ -397,13 +400,21 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
-        """Do all that there is to do at a tick."""
+        """Do all that there is to do at a tick: segment, regress, gate, estimate, judge."""
         self.idle += 1.0 / self.settings.update_rate
         self.intake.merge(t_ns)
         self._speed.update(t_ns)
         self._look(t_ns)
-        fed = self._paper_tick(t_ns) if self._as_paper else self._filtered_tick(t_ns)
-        return self._published(t_ns, fed)
+        if self._as_paper:
+            self._paper_tick(t_ns)
+        else:
+            for stretch in self._segment(t_ns):
+                self._score(stretch)
+                samples = self._regress(stretch)
+                if stretch.learns:  # all gates were open
+                    self._estimate(samples.means(), stretch.end_ns * NS, stretch.blocks)
+                    self._follow_delay(stretch.block)
+        return self._judge(t_ns)
 
     def _look(self, t_ns: int) -> None:
         """Show plausibility and gates what came with this tick, without glitches."""
@@ -443,11 +454,8 @@ class OnlineIdentifier:
         self.intake.drops[RATES][drop] += int(which.sum())
         return self.sampler.rates.v[new:]
 
-    def _filtered_tick(self, t_ns: int) -> bool:
-        """Learn from the blocks that this tick completes; return whether samples still come.
-
-        A tick without a block is none of waiting where samples come more slowly than ticks.
-        """
+    def _segment(self, t_ns: int) -> Iterator[Stretch]:
+        """Run the model beside the blocks that this tick completes; yield what they complete."""
         gates, speed = self.supervisor.gates, self._speed
         for block in self.sampler.blocks():
             self._fed_ns = t_ns
@@ -461,39 +469,30 @@ class OnlineIdentifier:
             states, injected = self._parallel.follow(block, self._coefficients(), airspeed, leak)
             learns = speed.known and not gates.closed
             part = Stretch(block, states, learns, not gates.unreadable, injected)
-            for stretch in self._stretches.add(part, length):
-                self._learn(stretch)
-        return t_ns - self._fed_ns <= self.settings.filter.max_gap / NS
+            yield from self._stretches.add(part, length)
 
-    def _learn(self, stretch: Stretch) -> None:
-        """Score the coefficients on a stretch, then learn from it: regress, gate, estimate."""
+    def _score(self, stretch: Stretch) -> None:
+        """Score the coefficients on what they were not learned from yet."""
         self._news = True
-        block, coefficients = stretch.block, self._coefficients()
         if stretch.readable:
             saved = None if self._saved is None else self._saved * self._speed.scale
-            self.running_fit.add(block, coefficients, saved)
+            self.running_fit.add(stretch.block, self._coefficients(), saved)
         else:
             self.running_fit.restart()
+
+    def _regress(self, stretch: Stretch) -> Regression:
+        """Return the regression problem of a stretch."""
+        block = stretch.block
         if self._filter is None:
             cutoff, arm = self.settings.filter.cutoff, np.array(self.settings.imu.lever_arm)
             self._filter = StateVariableFilter(self.structure, cutoff, block.h, arm)
-        regression = self._filter.apply(
+        return self._filter.apply(
             block,
             stretch.states,
             self._speed.scale[0] if self._speed.enabled else None,
-            coefficients,
+            self._coefficients(),
             block.excitation if stretch.injected else None,
         )
-        if not stretch.learns:
-            return
-        self._estimate(regression.means(), int(block.t_ns[-1]) * NS, stretch.blocks)
-        if self.estimator.changes:
-            self.running_fit.forget()
-        if self.estimator.contradicted:
-            self._warm = self._is_warm()
-        excited = bool(self.estimator.learning.any())
-        if self.delays.add(block, self.sampler.delay, excited):
-            self._adopt_delay()
 
     def _estimate(self, samples: Regression, t: float, ticks: int) -> None:
         """Update the coefficients with samples of some ticks that end at `t` s."""
@@ -510,6 +509,15 @@ class OnlineIdentifier:
         estimator.update(samples, rows, white, weight)
         supervisor.follow(t, estimator, ticks)
         self._begin_anew_beside(samples)
+        if self.estimator.changes:
+            self.running_fit.forget()
+        if self.estimator.contradicted:
+            self._warm = self._is_warm()
+
+    def _follow_delay(self, block: Block) -> None:
+        """Follow what the flight says about the delay."""
+        if self.delays.add(block, self.delay, bool(self.estimator.learning.any())):
+            self._adopt_delay()
 
     def _begin_anew_beside(self, samples: Regression) -> None:
         """While a cold start has come to nothing, see whether the newest time alone tells more."""
@@ -581,26 +589,23 @@ class OnlineIdentifier:
         self._saved = saved.values
         self.running_fit.save()
 
-    def _paper_tick(self, t_ns: int) -> bool:
+    def _paper_tick(self, t_ns: int) -> None:
         """Learn as the paper does: backward differences of the rates at the ticks."""
         held = self.sampler.held(t_ns)
         if held is None:
-            return False
+            return
         x, u, force = held
-        dt = 1.0 / self.settings.update_rate
-        regression: Regression | None = self._paper.step(t_ns, x, u, force, dt)
+        dt, model = 1.0 / self.settings.update_rate, self._parallel.model
+        regression = self._paper.step(t_ns, x, u, force, dt)
         if regression is None:
-            self._parallel.model.state = x
-            return False
-        self._parallel.model.euler(
-            self.estimator.coefficients, x, u, force, dt, self.settings.model.leak_time
-        )
-        self._news = True
+            model.state = x
+            return
+        model.euler(self.estimator.coefficients, x, u, force, dt, self.settings.model.leak_time)
+        self._fed_ns, self._news = t_ns, True
         if not self.supervisor.gates.closed:
             self._estimate(regression, t_ns * NS, 1)
-        return True
 
-    def _published(self, t_ns: int, fed: bool) -> Estimate:
+    def _judge(self, t_ns: int) -> Estimate:
         """Judge the coefficients, and return all that is published of a tick."""
         if self.idle > LOOK_TIME and self.supervisor.adapt:
             # Nothing that was learned of late confirms what was known.
@@ -609,13 +614,14 @@ class OnlineIdentifier:
             self._news = True
         if self._news:
             self._look_at_settings()
-        if self._news or self._speed.enabled:
-            sigma = self._setup_errors.widened(self.estimator.sigma)
-            self._shown = self._coefficients().copy(), sigma * self._speed.scale
-        coefficients, sigma = self._shown
+            self._sigma = self._setup_errors.widened(self.estimator.sigma)
+        coefficients, sigma = self._coefficients().copy(), self._sigma * self._speed.scale
         if self._news:
-            self._judge(t_ns * NS, coefficients, sigma)
+            self._verdict = self._judged(t_ns * NS, coefficients, sigma)
         self._news = False
+        # A tick without a block is none of waiting where samples come more slowly than ticks.
+        patience = 0.0 if self._as_paper else self.settings.filter.max_gap / NS
+        fed = t_ns - self._fed_ns <= patience
         state, reason = self._state(fed)
         sound = state is not State.FAULT and self.speed_believed and not self.plausibility.doubted
         usable = self._verdict.rows if sound else (False, False, False)
@@ -660,20 +666,15 @@ class OnlineIdentifier:
         needed = self.settings.supervision.min_t_ratio
         return self._setup_errors.denied(self.estimator.coefficients, needed)
 
-    def _judge(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Give the verdict anew: something was learned, or scored, since the last one."""
-        estimator, settings = self.estimator, self.settings.supervision
-        self._verdict = self.supervisor.judge(
-            t,
-            coefficients,
-            sigma,
-            self.running_fit,
-            estimator.model_error,
-            self.setup_doubts,
-            math.inf if self._warm else self._learned_time,
-        )
-        if settings.plausibility:
+    def _judged(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> Verdict:
+        """Return the verdict anew: something was learned, or scored, since the last one."""
+        if self.settings.supervision.plausibility:
             self.plausibility.judge(coefficients, sigma)
+        learned_time = math.inf if self._warm else self._learned_time
+        error, denied = self.estimator.model_error, self.setup_doubts
+        return self.supervisor.judge(
+            t, coefficients, sigma, self.running_fit, error, denied, learned_time
+        )
 
     def _state(self, fed: bool) -> tuple[State, str]:
         """Return state word and reason: first of what is wrong, then of what is missing."""
