@@ -34,18 +34,14 @@ class Sufficiency:
     A coefficient is known when it, or else the largest of its kind in its row, is the wanted
     number of sigmas: what is next to nothing need not be told from nothing. Of a kind are the
     control derivatives of the excited inputs, the rate derivatives, and those of the flow angles.
-
-    Parameters
-    ----------
-    structure : Structure
-        Names the coefficients.
-    excited : tuple of str
-        The inputs that are excited.
-    wanted : float
-        The wanted value over sigma.
     """
 
-    def __init__(self, structure: Structure, excited: tuple[str, ...], wanted: float) -> None:
+    def __init__(
+        self,
+        structure: Structure,
+        excited: tuple[str, ...],  # The inputs that are
+        wanted: float,  # Value over sigma
+    ) -> None:
         self._names = structure.names
         self._free = structure.free
         self._wanted = wanted
@@ -72,15 +68,7 @@ class Sufficiency:
         """Of every input seen to act: its surest control derivative, value and sigma."""
 
     def update(self, t_ns: int, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Look at the estimate of a tick.
-
-        Parameters
-        ----------
-        t_ns : int
-            Message time, ns.
-        coefficients, sigma : (rows, n) arrays
-            The coefficients and their standard deviations.
-        """
+        """Look at the estimate of a tick."""
         rows, columns = np.array(self._free).T
         values, sigmas = np.abs(coefficients[rows, columns]), sigma[rows, columns]
         limits = self._limits(values, sigmas)
@@ -192,27 +180,13 @@ class ExcitationRun:
 
     It knows no clock: `start`, `step` and `abort` are told the message time. Between two runs it
     asks for zero for a moment, and then for nothing.
-
-    Parameters
-    ----------
-    structure : Structure
-        Of the estimates that it looks at.
-
-    Attributes
-    ----------
-    phase : Phase
-        What it is doing.
-    why : str
-        How the last run ended; empty before and during one.
-    sufficiency : Sufficiency or None
-        What the run, or the last one, has taught.
     """
 
     def __init__(self, structure: Structure) -> None:
         self._structure = structure
         self.phase = Phase.IDLE
-        self.why = ""
-        self.sufficiency: Sufficiency | None = None
+        self.why = ""  # How the last run ended; empty before and during one
+        self.sufficiency: Sufficiency | None = None  # What the run, or the last one, has taught
         self._input: ProgrammedInput | None = None
         self._start_ns = self._now_ns = self._end_ns = 0
         self._zeros_until_ns: int | None = None
@@ -233,16 +207,9 @@ class ExcitationRun:
         return self._input.duration - self.elapsed if self._input and self.active else 0.0
 
     def start(self, settings: ExcitationSettings, flying: Flying, estimate: Estimate) -> str:
-        """Begin a run after a tick; return why that cannot be, or an empty word.
+        """Begin a run after a tick, by settings that hold to its end.
 
-        Parameters
-        ----------
-        settings : ExcitationSettings
-            They hold for the whole run.
-        flying : Flying
-            What is known of the flight.
-        estimate : Estimate
-            The estimate of the tick.
+        Returned is why that cannot be, or an empty word.
         """
         if self.active:
             return f"a run is going on, for {self.elapsed:.0f} s"
@@ -272,15 +239,7 @@ class ExcitationRun:
         return Injection(t_ns, np.zeros(len(INPUTS)))
 
     def step(self, flying: Flying, estimate: Estimate) -> Injection | None:
-        """Return what to ask for at a tick; None where silence is right.
-
-        Parameters
-        ----------
-        flying : Flying
-            What is known of the flight.
-        estimate : Estimate
-            The estimate of the tick.
-        """
+        """Return what to ask for at a tick; None where silence is right."""
         t_ns = estimate.t_ns
         if not self.active:  # zero for a moment after a run, then nothing
             if self._zeros_until_ns is None or not t_ns <= self._zeros_until_ns:

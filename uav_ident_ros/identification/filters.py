@@ -61,30 +61,17 @@ class DiscreteSystem:
         return cls(e[:d, :d], constant - slope, slope)
 
 
-def low_pass(cutoff: float, h: float) -> DiscreteSystem:
-    """Second-order Butterworth low-pass as ``s = [z, z_dot]``: its output and derivative.
-
-    Parameters
-    ----------
-    cutoff : float
-        Cut-off, rad/s.
-    h : float
-        Cell width, s.
-    """
+def low_pass(
+    cutoff: float,  # rad/s
+    h: float,  # Cell width, s
+) -> DiscreteSystem:
+    """Second-order Butterworth low-pass as ``s = [z, z_dot]``: its output and derivative."""
     a = np.array([[0.0, 1.0], [-(cutoff**2), -np.sqrt(2.0) * cutoff]])
     return DiscreteSystem.from_continuous(a, np.array([0.0, cutoff**2]), h)
 
 
 class BlockFilter:
-    """One discrete system applied to many channels, block by block.
-
-    Parameters
-    ----------
-    system : DiscreteSystem
-        The system, d states.
-    channels : int
-        Number N of channels.
-    """
+    """One discrete system of d states applied to N channels, block by block."""
 
     def __init__(self, system: DiscreteSystem, channels: int) -> None:
         d = len(system.a)
@@ -122,20 +109,14 @@ class BlockFilter:
             forced[:, i, : i + 1] = impulse[i::-1].T
         return forced
 
-    def apply(self, lines: FloatArray, held: FloatArray) -> FloatArray:
-        """Advance over m cells; the input is the sum of both.
+    def apply(
+        self,
+        lines: FloatArray,  # (m + 1, N) Inputs that are straight lines between the cells' edges
+        held: FloatArray,  # (m, N) Inputs that are constant over the cells
+    ) -> FloatArray:
+        """Advance over m cells, with the sum of both inputs.
 
-        Parameters
-        ----------
-        lines : (m + 1, N) array
-            Inputs that are straight lines over the cells, at their edges.
-        held : (m, N) array
-            Inputs that are constant over the cells.
-
-        Returns
-        -------
-        (d, m, N) array
-            The states at the right end of each cell.
+        Returned are the states at the right end of each cell, (d, m, N).
         """
         parts, (d, channels) = [], self.state.shape
         for start in range(0, len(held), BLOCK):

@@ -70,32 +70,24 @@ class FlowState(NamedTuple):
 
 
 class FlowObserver:
-    """Follows attitude and flow angles, block by block.
+    """Follows attitude and flow angles, block by block."""
 
-    Parameters
-    ----------
-    structure : Structure
-        A structure with flow angles.
-    cutoff : float
-        Cut-off of the regression's low-pass, rad/s: the flow angles follow the force so fast, and
-        no faster.
-    reference : float
-        Airspeed where none is measured, or where it does not fly: nothing may be divided by an
-        airspeed that goes to zero, m/s.
-
-    Attributes
-    ----------
-    angles : list of 2 floats
-        Sideslip and angle of attack, rad, at the newest edge.
-    down : tuple of 3 floats
-        Unit vector that points down, body axes FRD, at the newest edge.
-    """
-
-    def __init__(self, structure: Structure, cutoff: float, reference: float) -> None:
+    def __init__(
+        self,
+        structure: Structure,  # One with flow angles
+        # Of the regression's low-pass, rad/s: the flow angles follow the force so fast, and no
+        # faster
+        cutoff: float,
+        # Airspeed where none is measured, or where it does not fly, m/s: nothing may be divided by
+        # one that goes to zero
+        reference: float,
+    ) -> None:
         self._rate = cutoff
         self._reference = reference
         self._rows = structure.flow
         self._slopes = [(rows.force, rows.angle) for rows in structure.flow]
+        # At the newest edge: sideslip and angle of attack, rad, and the unit vector that points
+        # down, body axes FRD
         self.angles = [0.0, 0.0]
         self.down: Vector = (0.0, 0.0, 1.0)
         self._bias: Vector = (0.0, 0.0, 0.0)
@@ -125,18 +117,13 @@ class FlowObserver:
             airspeed=self._speed,
         )
 
-    def follow(self, block: Block, coefficients: FloatArray, airspeed: float | None) -> FlowSignals:
-        """Follow attitude and flow angles through a block.
-
-        Parameters
-        ----------
-        block : Block
-            Measured signals over m cells.
-        coefficients : (7, n) array
-            A_m; its force rows turn forces into angles.
-        airspeed : float or None
-            True airspeed, m/s; None where none is measured.
-        """
+    def follow(
+        self,
+        block: Block,  # Measured signals over m cells
+        coefficients: FloatArray,  # (7, n) A_m; its force rows turn forces into angles
+        airspeed: float | None,  # True, m/s; None where none is measured
+    ) -> FlowSignals:
+        """Follow attitude and flow angles through a block."""
         v = self._reference
         if airspeed is not None and airspeed > v / LARGEST_RATIO:
             v = airspeed

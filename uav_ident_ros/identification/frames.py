@@ -26,13 +26,7 @@ def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
 
 
 class BodyFrame:
-    """Turns vectors between the Imu's own axes and the body axes FRD.
-
-    Parameters
-    ----------
-    settings : ImuSettings
-        Convention (``flu`` or ``frd``) and the sensor's attitude in the body.
-    """
+    """Turns vectors between the Imu's own axes and the body axes FRD."""
 
     def __init__(self, settings: ImuSettings) -> None:
         convention = _FLU_TO_FRD if settings.convention == "flu" else np.eye(3)
@@ -54,21 +48,11 @@ def lever_arm_matrix(arm: FloatArray) -> FloatArray:
     return np.array([[-z, 0.0, x], [y, -x, 0.0]])
 
 
-def centripetal(x: FloatArray, arm: FloatArray) -> FloatArray:
-    """Components y and z of ``omega x (omega x arm)``.
-
-    Parameters
-    ----------
-    x : (..., 3) array
-        Rates p, q, r, rad/s, FRD.
-    arm : (3,) array
-        Position of the accelerometer from the centre of gravity, m, FRD.
-
-    Returns
-    -------
-    (..., 2) array
-        Acceleration, m/s^2.
-    """
+def centripetal(
+    x: FloatArray,  # (..., 3) Rates p, q, r, rad/s, FRD
+    arm: FloatArray,  # (3,) Position of the accelerometer from the centre of gravity, m, FRD
+) -> FloatArray:
+    """Return components y and z of ``omega x (omega x arm)``, (..., 2), m/s^2."""
     p, q, r = x[..., 0], x[..., 1], x[..., 2]
     along = p * arm[0] + q * arm[1] + r * arm[2]
     square = p * p + q * q + r * r

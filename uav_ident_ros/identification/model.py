@@ -254,49 +254,29 @@ def off_centre(coefficients: FloatArray, lever: FloatArray) -> FloatArray:
 
 
 class IdentifiedModel:
-    """State of the identified model, run beside the aircraft (eq. (3)).
+    """State of the identified model, run beside the aircraft (eq. (3))."""
 
-    Parameters
-    ----------
-    structure : Structure
-        Regressors and coefficients.
-    lever_arm : (3,) array
-        Position of the accelerometer from the centre of gravity, m, FRD.
-
-    Attributes
-    ----------
-    state : (3,) or (8,) array
-        xm: predicted p, q, r, rad/s, FRD; with flow angles beta, alpha, rad, and down as well.
-    resets : int
-        How often the state diverged and was set back to what was measured.
-    """
-
-    def __init__(self, structure: Structure, lever_arm: FloatArray) -> None:
+    def __init__(
+        self,
+        structure: Structure,
+        lever_arm: FloatArray,  # (3,) From the centre of gravity to the accelerometer, m, FRD
+    ) -> None:
         self._structure = structure
         self._lever = lever_arm_matrix(lever_arm)
         self._offset = bool(lever_arm.any()) and structure.has_forces
         self._form = flight_derivative if structure.has_flow else rates_derivative
         self._formed: tuple[bytes, float] | None = None  # What the right-hand side was made of
+        # xm: predicted p, q, r, rad/s, FRD; with flow angles beta, alpha, rad, and down as well
         self.state: FloatArray = np.zeros(8 if structure.has_flow else 3)
-        self.resets = 0
+        self.resets = 0  # How often it diverged and was set back to what was measured
 
-    def run(self, coefficients: FloatArray, block: Block, leak_time: float = 0.0) -> FloatArray:
-        """Advance the state over a block.
-
-        Parameters
-        ----------
-        coefficients : (R, n) array
-            A_m.
-        block : Block
-            Measured signals over m cells.
-        leak_time : float
-            Time constant of the pull towards the measured state, s; 0 for none.
-
-        Returns
-        -------
-        (m + 1, 3 or 8) array
-            The state at the edges.
-        """
+    def run(
+        self,
+        coefficients: FloatArray,  # (R, n) A_m
+        block: Block,  # Measured signals over m cells
+        leak_time: float = 0.0,  # Of the pull towards the measured state, s; 0 for none
+    ) -> FloatArray:
+        """Advance the state over a block; return it at the edges, (m + 1, 3 or 8)."""
         if block.restarted:
             self.state = block.state[0]
         states = self.propagate(coefficients, block, self.state, leak_time)
@@ -362,10 +342,7 @@ class IdentifiedModel:
         dt: float,
         leak_time: float,
     ) -> None:
-        """Advance by one explicit Euler step of `dt` s, as the paper does.
-
-        Parameters are those of `run`, with the inputs at the tick.
-        """
+        """Advance by one explicit Euler step of `dt` s, as the paper does, with its inputs."""
         f = self._structure.regressor(self.state, u, force)
         a = off_centre(coefficients, self._lever) if self._offset else coefficients
         state = self.state + dt * (a @ f)

@@ -32,11 +32,6 @@ class InputMap:
     A surface does as it is told, ``c = raw``. A motor's thrust grows with the square of its speed:
     with its share f of the square, and s = scale raw from 0 to 1, ``scale c = f s^2 + (1 - f) s``.
     What it moves is then the same at any thrust.
-
-    Parameters
-    ----------
-    settings : ActuatorSettings
-        Mixing rows, scale, thrust curve and trim of the N channels.
     """
 
     def __init__(self, settings: ActuatorSettings) -> None:
@@ -65,23 +60,18 @@ class InputMap:
 
 
 class ServoLag:
-    """First-order lag between the commanded and the actual deflection.
+    """First-order lag between the commanded and the actual deflection."""
 
-    Parameters
-    ----------
-    time_constant : float
-        Lag, s; 0 for none.
-    h : float
-        Cell width, s.
-    """
-
-    def __init__(self, time_constant: float, h: float) -> None:
+    def __init__(
+        self,
+        time_constant: float,  # s; 0 for none
+        h: float,  # Cell width, s
+    ) -> None:
         self._ratio = time_constant / h
         self._filter: BlockFilter | None = None
         if time_constant > 0.0:
             a = np.array([[-1.0 / time_constant]])
-            b = np.array([1.0 / time_constant])
-            self._filter = BlockFilter(DiscreteSystem.from_continuous(a, b, h), 4)
+            self._filter = BlockFilter(DiscreteSystem.from_continuous(a, -a[0], h), 4)
 
     def apply(self, u: FloatArray, *, restarted: bool) -> FloatArray:
         """Cell means of the deflection from cell means of the command, shape (m, 4).
@@ -100,28 +90,15 @@ class ServoLag:
 
 
 def cell_means(
-    t_ns: TimeArray, u: FloatArray, edges_ns: TimeArray, interpolation: str
+    t_ns: TimeArray,  # (k,) Stamps of the samples, ns; the first is at or before the first edge
+    u: FloatArray,  # (k, N) Values; each applies from its stamp on, the last for ever
+    edges_ns: TimeArray,  # (m + 1,) Edges of the cells, ns, already shifted by the delay
+    interpolation: str,  # ``hold`` or ``linear``
 ) -> FloatArray:
-    """Exact means of a sampled input over cells.
+    """Return exact means of a sampled input over cells, (m, N).
 
     With the input held, its mean over a cell is what a plant driven by the held input sees;
     sampling it at the cell's end instead is half a sample off.
-
-    Parameters
-    ----------
-    t_ns : (k,) int array
-        Stamps of the input's samples, ns; the first is at or before the first edge.
-    u : (k, N) array
-        Values; each applies from its stamp on.
-    edges_ns : (m + 1,) int array
-        Edges of the cells, ns, already shifted by the delay.
-    interpolation : str
-        ``hold`` or ``linear``; after the last sample the input is held.
-
-    Returns
-    -------
-    (m, N) array
-        Mean over each cell.
     """
     last = t_ns.searchsorted(edges_ns, side="right") - 1
     since = (edges_ns - t_ns.take(last))[:, None]
@@ -160,19 +137,12 @@ STEADY_RATE = 0.1
 
 @dataclass
 class FlowSignals:
-    """What the model with flow angles is run beside, at the edges of a block.
+    """What the model with flow angles is run beside, at the edges of a block."""
 
-    Parameters
-    ----------
-    states : (m + 1, 8) array
-        Its state as measured: p, q, r, rad/s; sideslip and angle of attack, rad; unit vector that
-        points down, body axes FRD.
-    airspeed : float
-        True airspeed, m/s.
-    """
-
+    # (m + 1, 8) Its state as measured: p, q, r, rad/s; sideslip and angle of attack, rad; unit
+    # vector that points down, body axes FRD
     states: FloatArray
-    airspeed: float
+    airspeed: float  # True, m/s
 
     @property
     def angles(self) -> FloatArray:
@@ -253,13 +223,7 @@ def edge_values(parts: Sequence[Edges]) -> Edges:
 
 
 class Sampler:
-    """Brings rates and inputs together on the grid.
-
-    Parameters
-    ----------
-    settings : Settings
-        Imu axes and lever arm, channel map, delay, lag, gap and timeout.
-    """
+    """Brings rates and inputs together on the grid."""
 
     def __init__(self, settings: Settings) -> None:
         self._frame = BodyFrame(settings.imu)
@@ -290,12 +254,9 @@ class Sampler:
         self.waiting_for = "rates"
 
     def held(self, t_ns: int) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-        """Newest rates, inputs and specific forces at `t_ns`, as the paper samples them.
+        """Return the newest x (3,), u (4,) and ay, az (2,) at `t_ns`, as the paper samples them.
 
-        Returns
-        -------
-        tuple of arrays or None
-            x (3,), u (4,) and ay, az (2,); None while there are none or they are stale.
+        None while there are none, or they are stale.
         """
         at = t_ns - self._delay_ns
         self.rates.trim(t_ns)
@@ -480,23 +441,12 @@ class Sampler:
         return Block(edges, self.h_ns * NS, x, u, force, restarted, injected, early)
 
 
-def with_silences(t_ns: TimeArray, v: FloatArray, first_ns: int) -> tuple[TimeArray, FloatArray]:
-    """Add zeros to a stream of excitation: before its start, and where it fell silent.
-
-    Parameters
-    ----------
-    t_ns : (k,) int array
-        Stamps, ns, rising.
-    v : (k, 4) array
-        Values; each counts until the next, or for `EXCITATION_TIMEOUT`.
-    first_ns : int
-        When the first value is needed, ns.
-
-    Returns
-    -------
-    tuple of arrays
-        Stamps from `first_ns` or before, and values.
-    """
+def with_silences(
+    t_ns: TimeArray,  # (k,) Stamps, ns, rising
+    v: FloatArray,  # (k, 4) Values; each counts until the next, or for `EXCITATION_TIMEOUT`
+    first_ns: int,  # When the first value is needed, ns
+) -> tuple[TimeArray, FloatArray]:
+    """Add zeros to a stream of excitation: before its start, and where it fell silent."""
     timeout_ns = round(EXCITATION_TIMEOUT * 1e9)
     silent = np.append(np.diff(t_ns) > timeout_ns, True)
     stamps = np.concatenate([t_ns, t_ns[silent] + timeout_ns])

@@ -48,30 +48,11 @@ def unmeasured(settings: Settings) -> str:
 
 
 class SpeedScaling:
-    """Scale of each regressor at the airspeed flown.
-
-    Parameters
-    ----------
-    settings : AirspeedSettings
-        Whether there is an airspeed, and the reference speed.
-    structure : Structure
-        The regressors.
-
-    Attributes
-    ----------
-    airspeed : SampleBuffer
-        True airspeed, m/s.
-    known : bool
-        Whether the scale is that of the airspeed flown.
-    scale : (R, n) array
-        Factor of each coefficient; one until there is an airspeed.
-    newest : float or None
-        Airspeed flown, m/s; None until there is one.
-    """
+    """Scale of each regressor at the airspeed flown."""
 
     def __init__(self, settings: AirspeedSettings, structure: Structure) -> None:
         self.enabled = settings.type != ""
-        self.airspeed = SampleBuffer(1)
+        self.airspeed = SampleBuffer(1)  # True airspeed, m/s
         self._reference = settings.reference
         self._power: FloatArray = np.zeros(structure.mask.shape)
         self._power[:, RATE_COLUMNS] = 1.0
@@ -81,9 +62,9 @@ class SpeedScaling:
             self._power[:, LAST_COLUMNS] = 2.0
             # so that the product with the slope of ay grows as p does in the other rows
             self._power[structure.row_labels.index("betadot"), RATE_COLUMNS] = -1.0
-        self.known = not self.enabled
-        self.scale: FloatArray = np.ones_like(self._power)
-        self.newest: float | None = None
+        self.known = not self.enabled  # Whether the scale is that of the airspeed flown
+        self.scale: FloatArray = np.ones_like(self._power)  # (R, n) Factor of each coefficient
+        self.newest: float | None = None  # m/s
 
     def update(self, t_ns: int) -> None:
         """Take the newest airspeed in use at `t_ns`."""

@@ -48,14 +48,9 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a controller may act on the coefficients.
+    """Whether a controller may act on the coefficients."""
 
-    Parameters
-    ----------
-    reasons : tuple of 3 str
-        For each of pdot, qdot, rdot why it may not, in a sentence; empty where it may.
-    """
-
+    # For each of pdot, qdot, rdot why it may not, in a sentence; empty where it may
     reasons: tuple[str, str, str]
 
     @cached_property
@@ -85,37 +80,17 @@ class Change(NamedTuple):
 
 
 class Supervisor:
-    """Decides whether to learn, and gives the verdict on what was learned.
+    """Decides whether to learn, and gives the verdict on what was learned."""
 
-    Parameters
-    ----------
-    settings : Settings
-        Gates and thresholds.
-    structure : Structure
-        Names the coefficients.
-    more : sequence of Gate
-        Gates of one's own.
-
-    Attributes
-    ----------
-    settings : Settings
-        The parameter; it may change between ticks.
-    adapt : bool
-        Whether learning is switched on.
-    armed : bool or None
-        Whether the motors are armed; None if nothing was heard of it.
-    gates : Gates
-        The gates, and what each has cost.
-    changed : list of Change
-        The changes found in flight, and what was told wrong, the oldest first.
-    confirmed : Confirmation
-        Which control derivatives the flight has confirmed.
-    """
-
-    def __init__(self, settings: Settings, structure: Structure, more: Sequence[Gate] = ()) -> None:
-        self.settings = settings
-        self.adapt = settings.adapt_on_start
-        self.armed: bool | None = None
+    def __init__(
+        self,
+        settings: Settings,
+        structure: Structure,
+        more: Sequence[Gate] = (),  # Gates of one's own
+    ) -> None:
+        self.settings = settings  # The parameter; it may change between ticks
+        self.adapt = settings.adapt_on_start  # Whether learning is switched on
+        self.armed: bool | None = None  # Whether the motors are; None if nothing was heard of it
         self._structure = structure
         mains = [f"{row}/{surface}" for row, surface in MAIN_INPUTS.items()]
         self._mains = [(name, structure.index(name)) for name in mains]
@@ -124,12 +99,13 @@ class Supervisor:
 
     def reset(self) -> None:
         """Forget what is usual, and everything that was found."""
+        # The changes found in flight, and what was told wrong, the oldest first
         self.changed: list[Change] = []
         self._relearning: dict[tuple[int, int], Change] = {}
         self._residuals = ResidualGate()
         self._within: BoolArray = np.ones(3, dtype=bool)
         self._learned: BoolArray = np.ones(3, dtype=bool)
-        self.confirmed = Confirmation()
+        self.confirmed = Confirmation()  # Of control derivatives, by the flight
         self._sigma: FloatArray = np.full(self._structure.mask.shape, np.inf)
         self._proven = False
         self.restart()
@@ -138,18 +114,13 @@ class Supervisor:
         """Begin a new stretch of signals; what was found stays."""
         self.gates.restart()
 
-    def weigh(self, residual: FloatArray, time: float, clear: BoolArray) -> FloatArray:
-        """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1.
-
-        Parameters
-        ----------
-        residual : (m, 3) array
-            Their residuals, rad/s^2.
-        time : float
-            Time that they stand for, s.
-        clear : (3,) bool array
-            Rows in which the inputs stand out from all else that moves the aircraft.
-        """
+    def weigh(
+        self,
+        residual: FloatArray,  # (m, 3) Of the samples of a tick, rad/s^2
+        time: float,  # Time that they stand for, s
+        clear: BoolArray,  # (3,) Rows in which the inputs stand out from all else that moves it
+    ) -> FloatArray:
+        """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1."""
         limit = self.settings.supervision.max_residual
         weight = self._residuals.weigh(residual, time, limit, clear)
         if not self._proven:
@@ -195,32 +166,20 @@ class Supervisor:
 
     def judge(
         self,
-        t: float,
-        coefficients: FloatArray,
-        sigma: FloatArray,
+        t: float,  # s
+        coefficients: FloatArray,  # (R, n)
+        sigma: FloatArray,  # (R, n)
         running: RunningFit,
+        # (3,) What the main inputs do otherwise than the model says, relative to their effect
         model_error: FloatArray,
-        denied: Sequence[str],
-        learned_time: float,
+        denied: Sequence[str],  # What speaks against each row beforehand; empty if nothing does
+        learned_time: float,  # Since a cold start, s; inf after a warm one
     ) -> Verdict:
-        """Give the verdict on the coefficients at `t` s, row by row.
+        """Give the verdict on the coefficients, row by row.
 
         Usable is a row that predicts the next second clearly better than holding the rate does, of
         late and over the flight, whose main control derivative is known well, and was confirmed by
         what its input did not long ago.
-
-        Parameters
-        ----------
-        coefficients, sigma : (R, n) arrays
-            Estimate and standard deviations.
-        running : RunningFit
-            Fit of the coefficients.
-        model_error : (3,) array
-            What the main inputs do otherwise than the model says, relative to their effect.
-        denied : sequence of 3 str
-            What speaks against each row beforehand; empty if nothing does.
-        learned_time : float
-            How long it has learned since a cold start, s; inf after a warm one.
         """
         self._sigma = sigma
         young = "" if running.predictions else "no prediction of one second is complete yet"
