@@ -12,8 +12,9 @@ import difflib
 import math
 import typing
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import partial
+from dataclasses import dataclass, fields, replace
+from functools import cache, partial
+from operator import attrgetter
 from typing import Any
 
 from uav_ident_ros.identification.scales import IN_A_ROW
@@ -164,19 +165,10 @@ def _setting(
     read_only: bool = True,
     restarts: bool = False,
 ) -> Any:
-    """Declare one setting as a dataclass field; see `Setting`."""
-    return dataclasses.field(
-        default=default,
-        metadata={
-            "unit": unit,
-            "description": text,
-            "low": within[0],
-            "high": within[1],
-            "choices": tuple(choices),
-            "read_only": read_only and not restarts,
-            "restarts": restarts,
-        },
-    )
+    """Declare one setting as a dataclass field, which gives it its name and type."""
+    fixed = read_only and not restarts
+    own = Setting("", "", default, unit, text, *within, tuple(choices), fixed, restarts)
+    return dataclasses.field(default=default, metadata={"setting": own})
 
 
 LARGEST_NUMBER = 1e6
@@ -558,20 +550,19 @@ class Settings:
             If a name is unknown, a value is not allowed, or settings contradict each other.
         """
         known = {setting.name: setting for setting in declarations()}
-        checked: dict[str, Value] = {}
+        settings = cls()
         for name, value in values.items():
             if name not in known:
                 raise SettingsError(unknown_setting(name))
             if value is None:
                 value = known[name].default if not known[name].type.endswith("[]") else ()
-            checked[name] = known[name].check(value)
-        settings: Settings = _build(cls, "", checked)
+            settings = _with(settings, name.split("."), known[name].check(value))
         _check_consistency(settings)
         return settings
 
     def values(self) -> dict[str, Value]:
         """Return every setting by its dotted name."""
-        return dict(_values(self, ""))
+        return {setting.name: attrgetter(setting.name)(self) for setting in declarations()}
 
 
 EXCITATION_TIMEOUT = IN_A_ROW / Settings.update_rate
@@ -591,6 +582,7 @@ def nearest(name: str, known: Collection[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else ""
 
 
+@cache
 def declarations() -> tuple[Setting, ...]:
     """Return the declaration of every setting, in the order of the documentation."""
     return tuple(_declarations(Settings, ""))
@@ -599,37 +591,17 @@ def declarations() -> tuple[Setting, ...]:
 def _declarations(cls: type, prefix: str) -> Iterator[Setting]:
     hints = typing.get_type_hints(cls)
     for item in fields(cls):
-        hint = hints[item.name]
+        name, hint = prefix + item.name, hints[item.name]
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-            yield from _declarations(hint, f"{prefix}{item.name}.")
+            yield from _declarations(hint, f"{name}.")
         else:
-            yield Setting(
-                name=prefix + item.name,
-                type=_TYPES[hint],
-                default=typing.cast(Value, item.default),
-                **item.metadata,
-            )
+            yield replace(item.metadata["setting"], name=name, type=_TYPES[hint])
 
 
-def _values(group: Any, prefix: str) -> Iterator[tuple[str, Value]]:
-    for item in fields(group):
-        value = getattr(group, item.name)
-        if dataclasses.is_dataclass(value):
-            yield from _values(value, f"{prefix}{item.name}.")
-        else:
-            yield prefix + item.name, value
-
-
-def _build(cls: Any, prefix: str, values: Mapping[str, Value]) -> Any:
-    hints = typing.get_type_hints(cls)
-    arguments: dict[str, Any] = {}
-    for item in fields(cls):
-        name = prefix + item.name
-        if dataclasses.is_dataclass(hints[item.name]):
-            arguments[item.name] = _build(hints[item.name], f"{name}.", values)
-        elif name in values:
-            arguments[item.name] = values[name]
-    return cls(**arguments)
+def _with(group: Any, path: Sequence[str], value: Value) -> Any:
+    """Return settings with another value at a path of attributes."""
+    name, *rest = path
+    return replace(group, **{name: _with(getattr(group, name), rest, value) if rest else value})
 
 
 def _refuse(name: str, what: str) -> None:
