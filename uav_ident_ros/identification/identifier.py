@@ -131,14 +131,13 @@ class OnlineIdentifier:
         self._armed = SampleBuffer(1)
         self.intake = Intake(settings, self.restart)
         self.supervisor = Supervisor(settings, self.structure, gates)
+        self._saved: FloatArray | None = None
         self._fresh: FreshStart | None = None
         self.reset()
 
     def reset(self) -> None:
         """Start cold: buffers and filters restart, the coefficients return to their start."""
-        actuators = self.settings.actuators
-        start = start_from(self.settings, self._initial)
-        self._begin(start, actuators.delay, actuators.time_constant)
+        self._begin(start_from(self.settings, self._initial))
 
     def resume(
         self, saved: CoefficientSet, delay: float | None = None, lag: float | None = None
@@ -162,15 +161,8 @@ class OnlineIdentifier:
         """
         cold = start_from(self.settings, self._initial)
         warm = start_from(self.settings, resumed(saved))
-        actuators = self.settings.actuators
         start = replace(warm, values=np.where(warm.free, warm.values, cold.values))
-        if not actuators.estimate_delay:
-            delay = lag = None
-        self._begin(
-            start,
-            actuators.delay if delay is None else delay,
-            actuators.time_constant if lag is None else lag,
-        )
+        self._begin(start, delay, lag)
         self.note_saved(saved)
 
     def reconfigure(self, settings: Settings) -> None:
@@ -190,24 +182,36 @@ class OnlineIdentifier:
         self.supervisor.settings = settings
         self._warm = self._is_warm()
         if any(setting.restarts for setting in changed):
-            self._make_signals_anew({setting.name for setting in changed})
+            # A warm start from what was learned from signals that were made otherwise
+            given = {setting.name for setting in changed}
+            learned, saved = self.coefficient_set(), self._saved
+            delay = None if "actuators.delay" in given else self.delay
+            lag = None if "actuators.time_constant" in given else self.lag
+            self.sampler = Sampler(settings)
+            self.resume(learned, delay, lag)
+            self._saved = saved
         else:
             self.estimator.reconfigure(settings)
             self._fresh = None
         self._news = True
 
-    def _begin(self, start: Start, delay: float, lag: float) -> None:
+    def _begin(self, start: Start, delay: float | None = None, lag: float | None = None) -> None:
         """Forget everything and start from what is known."""
+        actuators = self.settings.actuators
+        if delay is None or not actuators.estimate_delay:
+            delay = actuators.delay
+        if lag is None or not actuators.estimate_delay:
+            lag = actuators.time_constant
         self._start = start
         self.estimator: Estimator = self._make_estimator(self.settings, self._start)
         self._warm = self._is_warm()
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
         self.sampler.delay, self.sampler.time_constant = delay, lag
-        self.delays = DelayBank(self.settings.actuators.longest_delay, lag)
+        self.delays = DelayBank(actuators.longest_delay, lag)
         self._parallel = ParallelModel(self.settings, self.structure)
         self._has_accelerometer: bool | None = None
         self.running_fit = RunningFit(self.structure, self._parallel.model)
-        self._saved: FloatArray | None = None
+        self._saved = None
         self.supervisor.reset()
         self.plausibility = Plausibility(self.settings)
         self.intake.fill(
@@ -223,21 +227,11 @@ class OnlineIdentifier:
         self._noise = NoiseModel(self._layout.rows)
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = self.idle = 0.0
-        self._fresh = None
         self.restart()
 
     def _is_warm(self) -> bool:
         """Whether the control derivatives were told, and the flight has not contradicted them."""
         return self.estimator.start.warm(self.settings.supervision.min_t_ratio)
-
-    def _make_signals_anew(self, given: set[str]) -> None:
-        """Make the signals by the settings of now: a warm start from what was learned before."""
-        learned, saved = self.coefficient_set(), self._saved
-        delay = None if "actuators.delay" in given else self.delay
-        lag = None if "actuators.time_constant" in given else self.lag
-        self.sampler = Sampler(self.settings)
-        self.resume(learned, delay, lag)
-        self._saved = saved
 
     def restart(self) -> None:
         """Start on a new time base: buffers and filters restart, the coefficients stay."""
@@ -302,7 +296,6 @@ class OnlineIdentifier:
         if (self.delay, self.lag) != before:
             self.estimator.forget(min(INDEPENDENT_TIME / self._learned_time, 1.0))
             self._learned_time = 0.0
-            self._fresh = None
 
     def flying(self) -> Flying:
         """Return what is known of the flight, as of the last tick."""
@@ -465,8 +458,8 @@ class OnlineIdentifier:
             leak = self.settings.model.leak_time
             if self._learned_time < START_TIME:
                 length, leak = 0.0, min(leak, START_LEAK_TIME)
-            airspeed = speed.newest if speed.enabled else None
-            states, injected = self._parallel.follow(block, self._coefficients(), airspeed, leak)
+            now = self._coefficients()
+            states, injected = self._parallel.follow(block, now, speed.newest, leak)
             learns = speed.known and not gates.closed
             part = Stretch(block, states, learns, not gates.unreadable, injected)
             yield from self._stretches.add(part, length)
@@ -498,6 +491,8 @@ class OnlineIdentifier:
         """Update the coefficients with samples of some ticks that end at `t` s."""
         self.idle = 0.0
         estimator, supervisor = self.estimator, self.supervisor
+        if not self._learned_time:  # what was learned was forgotten
+            self._fresh = None
         self._learned_time += samples.time
         residual = estimator.residual(samples)
         rows = RowSamples.of(samples, residual, self._layout)
@@ -562,7 +557,6 @@ class OnlineIdentifier:
             self._stretches = Stretches()
             self.estimator = self._make_estimator(self.settings, self._start)
             self._learned_time = 0.0
-            self._fresh = None
 
     def _coefficients(self) -> FloatArray:
         """Coefficients at the airspeed flown, shape (R, n)."""
