@@ -17,7 +17,6 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from uav_ident_ros.bags.decoding import decode_cdr
 from uav_ident_ros.bags.limits import LARGEST_DEFINITION, guard_rosbags
 from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
 from uav_ident_ros.messages.types import listed
@@ -234,9 +233,19 @@ class Bag:
                 "does not define it"
             )
 
+        definition = self._store.get_msgdef(msgtype)
+        by_encapsulation = {
+            b"\0\0": definition.deserialize_cdr_be,
+            b"\0\1": definition.deserialize_cdr_le,
+        }
+
         def decode(data: bytes) -> Any:
             try:
-                return decode_cdr(self._store, data, msgtype)
+                if (deserialize := by_encapsulation.get(bytes(data[:2]))) is None:
+                    raise ValueError("no CDR encapsulation")
+                # ROS 2's serializers may leave bytes behind a message. rclpy skips them, too.
+                message, _ = deserialize(memoryview(data)[4:], 0, definition.cls, self._store)
+                return message
             except Exception as error:
                 raise BagError(
                     f"bag '{self.path}': a message on '{topic}' is no {msgtype}: {_reason(error)}"
