@@ -7,6 +7,7 @@ belongs, arrays of the wrong length, ranges of array entries.
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -38,19 +39,14 @@ PARAMETER_TYPES = {
 _OTHERS = ("use_sim_time", "start_type_description_service")
 """Parameters that rclpy declares by itself."""
 
-
-_QOS_PREFIX = "qos_overrides."
-
-QOS_POLICIES: dict[str, tuple[str, ...]] = {
-    "history": ("keep_last", "keep_all"),
-    "depth": (),
-    "reliability": ("reliable", "best_effort", "system_default"),
-    "durability": ("volatile", "transient_local", "system_default"),
+QOS_POLICIES: dict[str, dict[str, Any]] = {
+    "history": {"type": "str", "choices": ("keep_last", "keep_all")},
+    "depth": {"type": "int", "low": 1, "high": 100_000},
+    "reliability": {"type": "str", "choices": ("reliable", "best_effort", "system_default")},
+    "durability": {"type": "str", "choices": ("volatile", "transient_local", "system_default")},
 }
-"""QoS policies of the subscriptions that may be overridden, with the words allowed."""
-
-MAX_DEPTH = 100_000
-"""Longest queue that makes sense, messages."""
+"""QoS policies of the subscriptions that may be overridden, and what is allowed. rclpy ignores a
+misspelt override, and fails on a wrong one."""
 
 
 def settings_of(
@@ -65,30 +61,32 @@ def settings_of(
     SettingsError
         If a name is unknown or a value is not allowed.
     """
+    overridable = _qos_settings([node.resolve_topic_name(topic) for topic in topics])
+    values: dict[str, object] = {}
     # rclpy has no public accessor (rclcpp has get_parameter_overrides), and declaring them all
     # automatically fails on an empty list.
-    given: dict[str, Parameter] = dict(node._parameter_overrides)
-    for name in [name for name in given if name.startswith(_QOS_PREFIX)]:
-        value = given.pop(name).value
-        _check_qos(name, value, [node.resolve_topic_name(topic) for topic in topics])
-    return Settings.from_values({n: p.value for n, p in given.items() if n not in _OTHERS})
+    for name, parameter in node._parameter_overrides.items():
+        if name in overridable:
+            overridable[name].check(parameter.value)
+        elif name.startswith("qos_overrides."):
+            hint = nearest(name, overridable) or f"there are {', '.join(overridable)}"
+            raise SettingsError(f"there is no parameter '{name}': {hint}")
+        elif name not in _OTHERS:
+            values[name] = parameter.value
+    return Settings.from_values(values)
 
 
-def _check_qos(name: str, value: object, topics: Sequence[str]) -> None:
-    """Check a QoS override, which rclpy ignores if misspelt and fails on if wrong."""
-    known = [
-        f"{_QOS_PREFIX}{topic}.subscription.{policy}" for topic in topics for policy in QOS_POLICIES
-    ]
-    if name not in known:
-        hint = nearest(name, known) or f"there are {', '.join(known)}"
-        raise SettingsError(f"there is no parameter '{name}': {hint}")
-    allowed = QOS_POLICIES[name.rsplit(".", 1)[1]]
-    if allowed and value not in allowed:
-        raise SettingsError(f"'{name}' is {value!r}: allowed are {', '.join(allowed)}")
-    if not allowed and (type(value) is not int or not 0 < value <= MAX_DEPTH):
-        raise SettingsError(
-            f"'{name}' is {value!r}: allowed is a whole number from 1 to {MAX_DEPTH}"
-        )
+def _qos_settings(topics: Sequence[str]) -> dict[str, Setting]:
+    """Return what of the QoS of these subscriptions may be overridden, by the parameter's name."""
+    names = {
+        f"qos_overrides.{topic}.subscription.{policy}": allowed
+        for topic in topics
+        for policy, allowed in QOS_POLICIES.items()
+    }
+    return {
+        name: Setting(name, default="", unit="", description="", **allowed)
+        for name, allowed in names.items()
+    }
 
 
 def declare(node: Node, settings: Settings) -> None:
