@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Notices are repeated often enough to be seen, and never flood; a node notices its own delays."""
-
-import time
+"""Notices are repeated often enough to be seen, and never flood."""
 
 import pytest
 import rclpy
 
-from uav_ident_ros.node.diagnostics import TickMeter
 from uav_ident_ros.node.notices import (
     REPEAT_AFTER,
     Guard,
@@ -56,15 +53,3 @@ def test_an_unexpected_error_is_logged_and_survived() -> None:
     assert "Traceback" in printed[0]
     with pytest.raises(ZeroDivisionError):
         guarded(0.0)  # at the end of the program
-
-
-def test_a_node_that_was_held_up_knows_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 100.0
-    monkeypatch.setattr(time, "perf_counter", lambda: now)
-    meter = TickMeter(0.05)
-    for interval in (0.05, 1.4, 0.05):
-        meter.called()
-        assert meter.held_up() == pytest.approx(0.0 if now < 101.0 else 1.4)
-        now += interval
-    now += 10.0
-    assert meter.held_up() == 0.0

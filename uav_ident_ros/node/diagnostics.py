@@ -16,12 +16,6 @@ from uav_ident_ros.identification.structure import ROWS
 TICKS_KEPT = 1200
 """Tick times kept for the percentiles: a minute at 20 Hz."""
 
-HELD_UP = 0.5
-"""Interval of the timer that is no jitter, s: what carries no stamp counts as late as that."""
-
-HELD_UP_LATELY = 5.0
-"""Seconds for which that may explain what is seen."""
-
 _LEVELS = {
     "learning": DiagnosticStatus.OK,
     "converged": DiagnosticStatus.OK,
@@ -44,21 +38,13 @@ class TickMeter:
             deque[float](maxlen=TICKS_KEPT) for _ in range(3)
         )
         self._last_call = math.inf
-        self._held_up = (-math.inf, 0.0)
 
     def called(self) -> None:
         """Note that the timer fired."""
         now = time.perf_counter()
         if self._last_call < now:
             self._intervals.append(now - self._last_call)
-            if now - self._last_call > HELD_UP:
-                self._held_up = (now, now - self._last_call)
         self._last_call = now
-
-    def held_up(self) -> float:
-        """Return how long the timer did not fire, s, if that was just now; 0 if it did."""
-        at, seconds = self._held_up
-        return seconds if time.perf_counter() - at < HELD_UP_LATELY else 0.0
 
     def ticked(self, seconds: float) -> None:
         """Note a tick that took `seconds` to compute."""

@@ -217,23 +217,13 @@ class IdentifierNode(Node):
             self._guard.problem
             or self._inputs.rates.fault
             or self._jumps.fault(self._meter.count)
-            or (self._clocks_apart() if self._waiting.imu_moves else "")
+            or (self.identifier.intake.fault if self._waiting.imu_moves else "")
         )
         if fault:
             return "fault", fault
         if missed or self._estimate is None:
             return "waiting", missed or "the first tick is not due yet"
         return self._estimate.state, self._estimate.reason
-
-    def _clocks_apart(self) -> str:
-        """Return the fault of the identifier, or the overload that explains it."""
-        seconds = self._meter.held_up()
-        if not self.identifier.intake.fault or not seconds:
-            return self.identifier.intake.fault
-        return (
-            f"overload: the node was held up for {seconds:.1f} s, and messages without a stamp "
-            "counted as late as that: give it more of the processor, or a type with stamps"
-        )
 
     def _values(self) -> Iterator[tuple[str, str]]:
         """Yield everything beneath the state, each with its label."""
