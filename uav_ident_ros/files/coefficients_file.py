@@ -119,19 +119,7 @@ def remove_leftovers(path: Path | str) -> None:
     """Remove what processes that were killed while they wrote `path` have left beside it."""
     target = Path(os.path.realpath(path))
     for left in target.parent.glob(_temporary_name(glob.escape(target.name), "*")):
-        writer = left.name.removesuffix(".tmp").rpartition(".")[2]
-        if writer.isdecimal() and not _is_running(int(writer)):
-            left.unlink(missing_ok=True)
-
-
-def _is_running(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # it runs, for another user
-        return True
-    return True
+        left.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -68,20 +68,9 @@ def recall(
     # Time of the computer, with its zone. Message time may be simulated: it tells no age
     now: datetime,
 ) -> tuple[CoefficientSet, Notes, timedelta]:
-    """Read a state file and check that it is of this aircraft and not too old.
+    """Read a state file and how long ago it was saved; raise if it is not of this aircraft, or old.
 
-    Returns
-    -------
-    (CoefficientSet, Notes, timedelta)
-        What it holds, and how long ago that was saved, by the computer's clock; negative if that
-        was set back.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no file.
-    OSError, CoefficientsFileError
-        If it cannot be used; the message says why.
+    The age is by the computer's clock, and negative if that was set back.
     """
     modified = path.stat().st_mtime
     coefficients, notes = load_with_notes(path, settings.structure)
@@ -132,7 +121,6 @@ class Memory:
         self._identifier, self._log = identifier, log
         self._path = state_path(identifier.settings, node_name)
         self._refused = False  # Whether the file that is there is none of ours, and is kept aside
-        self._seen = _version(self._path)  # The file as it was read or written here
         self._disk = ThreadPoolExecutor(1)
         self._writing: Future[CoefficientSet] | None = None
         self._last_save = -math.inf
@@ -210,14 +198,8 @@ class Memory:
         path.parent.mkdir(parents=True, exist_ok=True)
         if self._refused and path.is_file():
             path.replace(path.with_name(path.name + ASIDE))
-        elif _version(path) not in (None, self._seen):
-            self._log.warning(
-                f"'{path}' was written by another process too, and is overwritten: give each node "
-                "its own 'state_file'"
-            )
         self._refused = False
         save_coefficients(coefficients, path, notes)
-        self._seen = _version(path)
         return coefficients
 
     def _outcome(self) -> str:
@@ -271,12 +253,3 @@ class Memory:
     def _changed(self, estimate: Estimate) -> bool:
         values = self._identifier.coefficient_set(estimate.t_ns).values
         return not np.array_equal(values, self._known.values)
-
-
-def _version(path: Path | None) -> tuple[int, int] | None:
-    """Return what tells one version of a file from another; None if there is none."""
-    try:
-        status = path.stat() if path else None
-    except OSError:
-        return None
-    return status and (status.st_ino, status.st_mtime_ns)
