@@ -33,6 +33,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from yaml.representer import SafeRepresenter
 
 from uav_ident_ros.files.strict_yaml import (
     UNUSABLE,
@@ -158,17 +159,13 @@ def _lines(coefficients: CoefficientSet, notes: Notes) -> Iterator[str]:
         value, sigma = float(coefficients.values[index]), float(coefficients.sigma[index])
         if not math.isfinite(value):
             raise EntryError(f"coefficient {name} is {value}")
-        unknown = not 0.0 <= sigma < math.inf  # NaN too
-        shown = ".inf" if unknown else _digits(sigma)
-        yield f"  {name}: {{value: {_digits(value)}, sigma: {shown}}}"
+        sigma = sigma if sigma >= 0.0 else math.inf  # NaN too
+        yield f"  {name}: {{value: {_digits(value)}, sigma: {_digits(sigma)}}}"
 
 
 def _digits(value: float) -> str:
     """Shortest text that reads back as `value`, a number to every YAML reader."""
-    mantissa, separator, exponent = repr(value).partition("e")
-    if "." not in mantissa:
-        mantissa += ".0"
-    return f"{mantissa}{separator}{exponent}"
+    return str(SafeRepresenter().represent_float(value).value)
 
 
 def load_coefficients(path: Path | str, structure: str | None = None) -> CoefficientSet:

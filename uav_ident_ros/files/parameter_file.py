@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from uav_ident_ros.files.strict_yaml import UNUSABLE, problem
+from uav_ident_ros.files.strict_yaml import UNUSABLE, malformed, problem
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str] | None
 
@@ -166,7 +166,7 @@ class _Loader(yaml.BaseLoader):
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
-            raise _malformed(self.peek_event(), "ROS does not support aliases")  # type: ignore[no-untyped-call]
+            raise malformed(self.peek_event(), "ROS does not support aliases")  # type: ignore[no-untyped-call]
         return super().compose_node(parent, index)
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> str:
@@ -174,23 +174,19 @@ class _Loader(yaml.BaseLoader):
         return ""
 
 
-def _malformed(node: Any, reason: str) -> yaml.YAMLError:
-    return yaml.composer.ComposerError(None, None, reason, node.start_mark)
-
-
 def _entries(node: Any, owner: str) -> Iterator[tuple[str, Any, Any]]:
     """Yield the keys of a mapping, each as text and as a node, and the values."""
     if not isinstance(node, yaml.MappingNode):
-        raise _malformed(
+        raise malformed(
             node,
             f"{owner} holds a value: node names, then '{PARAMETERS_KEY}:', then the parameters "
             "are needed",
         )
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise _malformed(key, "a key must be a plain name")
+            raise malformed(key, "a key must be a plain name")
         if not key.value:
-            raise _malformed(key, "there is no key")
+            raise malformed(key, "there is no key")
         yield key.value, key, value
 
 
@@ -202,7 +198,7 @@ def _sections(node: Any, name: str, owner: str) -> Iterator[tuple[str, str, Para
             yield from _sections(value, f"{name}{separator}{key}", f"'{key}'")
             continue
         if not name:
-            raise _malformed(place, f"there is no node name before {PARAMETERS_KEY}")
+            raise malformed(place, f"there is no node name before {PARAMETERS_KEY}")
         _check_name(name, place)
         yield name, "", None
         for parameter, found in _parameters(value, "", f"'{PARAMETERS_KEY}'"):
@@ -212,7 +208,7 @@ def _sections(node: Any, name: str, owner: str) -> Iterator[tuple[str, str, Para
 def _parameters(node: Any, prefix: str, owner: str) -> Iterator[tuple[str, ParameterValue]]:
     """Yield the parameters of a mapping, nested or not."""
     if prefix and not node.value:
-        raise _malformed(node, f"{owner} is an empty mapping")
+        raise malformed(node, f"{owner} is an empty mapping")
     for key, _, value in _entries(node, owner):
         name = f"{prefix}{key}"
         if isinstance(value, yaml.MappingNode):
@@ -227,10 +223,10 @@ def _value(node: Any) -> ParameterValue:
     values: list[Any] = []
     for item in node.value:
         if not isinstance(item, yaml.ScalarNode):
-            raise _malformed(item, "a list can hold plain values only")
+            raise malformed(item, "a list can hold plain values only")
         values.append(_scalar(item))
         if type(values[-1]) is not type(values[0]):
-            raise _malformed(
+            raise malformed(
                 item,
                 f"the values of a list must be of one type: {values[0]!r} is "
                 f"{_WORDS[type(values[0])]}, {values[-1]!r} is {_WORDS[type(values[-1])]}",
@@ -247,7 +243,7 @@ _STRING_TAG = "tag:yaml.org,2002:str"
 def _scalar(node: yaml.ScalarNode) -> bool | int | float | str:
     quoted = node.style in ("'", '"') or node.tag == _STRING_TAG
     if not quoted and not node.value:
-        raise _malformed(node, "there is no value")
+        raise malformed(node, "there is no value")
     return scalar(node.value, quoted=quoted)
 
 
@@ -257,7 +253,7 @@ def _check_name(name: str, place: Any) -> None:
         return
     for token in name.removeprefix("/").split("/"):
         if token not in ("*", "**") and not _TOKEN.fullmatch(token):
-            raise _malformed(
+            raise malformed(
                 place,
                 f"'{name}' is no node name: letters, digits and '_' make one, '*' and '**' a "
                 "pattern",

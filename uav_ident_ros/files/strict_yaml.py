@@ -17,6 +17,11 @@ class EntryError(Exception):
     """An entry is wrong; the message names it and what would be right."""
 
 
+def malformed(place: Any, reason: str) -> yaml.YAMLError:
+    """Return the error of a node or an event; `problem` gives its line."""
+    return yaml.MarkedYAMLError(problem=reason, problem_mark=place.start_mark)
+
+
 class StrictLoader(yaml.BaseLoader):
     """A loader of text, mappings and lists; whoever reads them says what a text means."""
 
@@ -25,13 +30,9 @@ class StrictLoader(yaml.BaseLoader):
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
-                raise yaml.constructor.ConstructorError(
-                    None, None, "a key must be a plain name", key.start_mark
-                )
+                raise malformed(key, "a key must be a plain name")
             if key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"'{key.value}' is there twice", key.start_mark
-                )
+                raise malformed(key, f"'{key.value}' is there twice")
             seen.add(key.value)
         return dict(super().construct_mapping(node, deep))
 

@@ -18,6 +18,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from uav_ident_ros.files.parameter_file import IGNORED
 from uav_ident_ros.identification.settings import (
     Setting,
     Settings,
@@ -35,9 +36,6 @@ PARAMETER_TYPES = {
     "str[]": Parameter.Type.STRING_ARRAY,
 }
 """Setting type to parameter type; what is not listed may be of either of two types."""
-
-_OTHERS = ("use_sim_time", "start_type_description_service")
-"""Parameters that rclpy declares by itself."""
 
 QOS_POLICIES: dict[str, dict[str, Any]] = {
     "history": {"type": "str", "choices": ("keep_last", "keep_all")},
@@ -71,7 +69,7 @@ def settings_of(
         elif name.startswith("qos_overrides."):
             hint = nearest(name, overridable) or f"there are {', '.join(overridable)}"
             raise SettingsError(f"there is no parameter '{name}': {hint}")
-        elif name not in _OTHERS:
+        elif name not in IGNORED:
             values[name] = parameter.value
     return Settings.from_values(values)
 
