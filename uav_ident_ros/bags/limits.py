@@ -34,11 +34,11 @@ class TooLargeError(Exception):
         super().__init__(f"{what} holds more than {limit / 2**20:.0f} MiB when it is decompressed")
 
 
-def decompressed(
-    data: bytes,  # The chunk's data
-    compression: str,  # ``bz2``, ``lz4``, ``zstd`` or nothing
-) -> bytes:
-    """Return what a chunk holds; raises `TooLargeError` if that is more than `LARGEST_PART`."""
+def decompressed(data: bytes, compression: str) -> bytes:
+    """Return what a chunk holds; raises `TooLargeError` if that is more than `LARGEST_PART`.
+
+    The compression is ``bz2``, ``lz4``, ``zstd`` or nothing.
+    """
     from lz4.frame import LZ4FrameDecompressor
 
     if not compression:

@@ -72,13 +72,8 @@ def write_file(path: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
-def qos(
-    depth: int = 10,  # Depth of the history
-    *,
-    reliable: bool = True,  # Reliable, or best effort
-    transient_local: bool = False,  # Keeps its last messages for late subscribers, or is volatile
-) -> Qos:
-    """QoS profile that a topic was offered with."""
+def qos(depth: int = 10, *, reliable: bool = True, transient_local: bool = False) -> Qos:
+    """QoS profile that a topic was offered with: reliable or not, latched or not."""
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=depth,
@@ -111,7 +106,7 @@ def stamp(t_ns: int) -> Any:
 
 
 class BagWriter:
-    """Writes one rosbag2 folder with an MCAP file; a context manager.
+    """Writes a new rosbag2 folder with an MCAP file, its chunks in zstd or not; a context manager.
 
     Messages are written in the order of the calls; give them in log-time order. A bag whose
     block ends with an exception is left without metadata, as an interrupted recording is.
@@ -123,11 +118,7 @@ class BagWriter:
     ...     bag.write("/data", 0, message)
     """
 
-    def __init__(
-        self,
-        path: Path | str,  # Folder of the new bag; must not exist
-        compress: bool = False,  # Compress the chunks with zstd
-    ) -> None:
+    def __init__(self, path: Path | str, compress: bool = False) -> None:
         self.path = Path(path)
         self._topics: dict[str, Connection] = {}
         try:
@@ -154,25 +145,14 @@ class BagWriter:
         else:
             self._writer.abort()
 
-    def topic(
-        self,
-        name: str,  # Topic name
-        msgtype: str,  # Message type, ``package/msg/Name``
-        qos: Qos | None = None,  # Profile it was offered with; see `qos`
-    ) -> None:
-        """Announce a topic."""
+    def topic(self, name: str, msgtype: str, qos: Qos | None = None) -> None:
+        """Announce a topic of a type, ``package/msg/Name``, and the profile it was offered with."""
         self._topics[name] = self._writer.add_connection(
             name, msgtype, typestore=jazzy_types(), offered_qos_profiles=(qos,) if qos else ()
         )
 
-    def write(
-        self,
-        topic: str,  # An announced topic
-        log_time_ns: int,  # Log time, ns
-        # Message as a dataclass (see `message_class`), or its CDR bytes
-        message: Any,
-    ) -> None:
-        """Write one message."""
+    def write(self, topic: str, log_time_ns: int, message: Any) -> None:
+        """Write a message on an announced topic: a dataclass (`message_class`), or CDR bytes."""
         connection = self._topics[topic]
         if dataclasses.is_dataclass(message):
             message = jazzy_types().serialize_cdr(message, connection.msgtype)

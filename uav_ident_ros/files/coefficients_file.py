@@ -82,11 +82,9 @@ class Notes:
 
 
 def save_coefficients(
-    coefficients: CoefficientSet,  # What to write; every value finite
-    path: Path | str,  # The file; one that exists is replaced
-    notes: Notes | None = None,  # What to write beside them
+    coefficients: CoefficientSet, path: Path | str, notes: Notes | None = None
 ) -> None:
-    """Write a coefficients file, whole or not at all.
+    """Write a coefficients file, whole or not at all; one that exists is replaced.
 
     Raises
     ------

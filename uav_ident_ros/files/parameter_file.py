@@ -64,11 +64,8 @@ class ParameterFile:
             raise ParameterFileError(f"parameter file '{path}': {problem(error)}") from None
         return cls(path, sections)
 
-    def values_for(
-        self,
-        node: str,  # Name of the node, with its namespace if it has one: ``/drone1/identifier``
-    ) -> dict[str, ParameterValue]:
-        """Return what rclpy gives to a node: of all matching sections the last one wins.
+    def values_for(self, node: str) -> dict[str, ParameterValue]:
+        """Return what rclpy gives to a node, ``/drone1/identifier``: the last section wins.
 
         Raises
         ------

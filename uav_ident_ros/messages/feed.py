@@ -95,12 +95,8 @@ class Feed:
         self._unplaced: tuple[int, Any] | None = None  # Arrival, ns, and values
         self._after_ns = self._placed = 0  # Imu sample, and how many were placed after it
 
-    def take(
-        self,
-        data: bytes,  # A message
-        arrival_ns: int,  # When it arrived, by the clock of the node or of the recorder, ns
-    ) -> Taken:
-        """Give the identifier a message."""
+    def take(self, data: bytes, arrival_ns: int) -> Taken:
+        """Give the identifier a message that arrived then, by the node's or recorder's clock."""
         self.received += 1
         try:
             if len(data) > LARGEST_MESSAGE:

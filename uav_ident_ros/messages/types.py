@@ -34,13 +34,9 @@ class MessageTypeError(Exception):
 class ChannelError(ValueError):
     """A message does not hold what the settings say; the message says why."""
 
-    def __init__(
-        self,
-        message: str,  # What is wrong and what would be right
-        reason: str = "wrong channels",  # What it is counted under
-    ) -> None:
+    def __init__(self, message: str, reason: str = "wrong channels") -> None:
         super().__init__(message)
-        self.reason = reason
+        self.reason = reason  # What the message is counted under
 
 
 class RatesReading(NamedTuple):
@@ -328,12 +324,8 @@ class RatesReader:
         return reading.stamp_ns, (reading.rates, reading.specific_force)
 
 
-def frame_fault(
-    convention: str,  # Setting ``imu.convention``: ``flu`` or ``frd``
-    frame_id: str,  # Frame of the message's header
-    msgtype: str,  # Type of the rates topic
-) -> str:
-    """Say how a message's axes contradict the configured convention; empty if they do not."""
+def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:
+    """Say how a message's axes contradict ``imu.convention``; empty if they do not."""
     if convention == "frd":
         return ""
     if frame_id.endswith(("_frd", "_ned")):
@@ -349,10 +341,8 @@ def frame_fault(
 # --- message classes -------------------------------------------------------------------------
 
 
-def import_type(
-    name: str,  # ``package/msg/Type``
-) -> Any:
-    """Import a message class by its name.
+def import_type(name: str) -> Any:
+    """Import a message class by its name, ``package/msg/Type``.
 
     Raises
     ------

@@ -28,12 +28,9 @@ _LEVELS = {
 class TickMeter:
     """Durations of the last ticks, how old they were, and how regularly the timer fired."""
 
-    def __init__(
-        self,
-        period: float,  # Interval that the timer should keep, s
-    ) -> None:
+    def __init__(self, period: float) -> None:
         self.count = 0
-        self._period = period
+        self._period = period  # that the timer should keep, s
         self._ages, self._durations, self._intervals = (
             deque[float](maxlen=TICKS_KEPT) for _ in range(3)
         )

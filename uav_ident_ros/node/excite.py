@@ -37,17 +37,13 @@ def slowest_ticks(highest: float) -> float:
 class Excite:
     """Starts and ends runs of excitation, and publishes what they ask for."""
 
-    def __init__(
-        self,
-        node: Node,  # Owner of the publisher
-        # Knows the flight. It is told what is published, unless somebody else says what is injected
-        identifier: OnlineIdentifier,
-    ) -> None:
+    def __init__(self, node: Node, identifier: OnlineIdentifier) -> None:
         self._node, self._identifier = node, identifier
         self._log = node.get_logger()
         self._clock = node.get_clock()
         self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
         self._run = ExcitationRun(identifier.structure)
+        # Whether the identifier is told what is published: nobody else says what is injected
         self._own = True
         self._ticked = (0, 0.0)  # when, by the node's clock, ns, and by the steady one, s
         self._estimate: Estimate | None = None

@@ -67,7 +67,7 @@ class IdentifierNode(Node):
         warnings = Throttle(partial(self._log, DiagnosticStatus.WARN))
         self._inputs = Inputs(self, self.identifier, warnings, self._guard)
         self._waiting = Waiting(self, self.identifier, self._inputs.all.values())
-        self._jumps = Jumps(settings.time_jump, settings.update_rate)
+        self._jumps = Jumps(settings)
         self._outputs = Outputs(self, self.identifier.structure)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._logged, self._warnings = "", list[str]()  # The last state and warnings

@@ -91,11 +91,7 @@ class Inputs:
     """
 
     def __init__(
-        self,
-        node: Node,  # Owner of the subscriptions; its clock stamps messages that carry no time
-        identifier: OnlineIdentifier,  # Takes the samples
-        warnings: Throttle,  # Takes what was refused, and why
-        guard: Guard,  # Takes errors that nobody foresaw
+        self, node: Node, identifier: OnlineIdentifier, warnings: Throttle, guard: Guard
     ) -> None:
         self._clock, self._guard = node.get_clock(), guard
         self._waiting: list[tuple[Input, bytes, int]] = []

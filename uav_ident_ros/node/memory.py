@@ -49,11 +49,8 @@ MEANING = (
 else."""
 
 
-def state_path(
-    settings: Settings,  # ``state_file`` may name the place
-    node_name: str,  # Full name of the node: two vehicles never share a file by themselves
-) -> Path | None:
-    """Return where a node keeps its coefficients; None if it keeps none."""
+def state_path(settings: Settings, node_name: str) -> Path | None:
+    """Return where the node of this full name keeps its coefficients; None if it keeps none."""
     if settings.state_file == NO_FILE:
         return None
     if settings.state_file:
@@ -63,14 +60,12 @@ def state_path(
 
 
 def recall(
-    path: Path,  # The file
-    settings: Settings,  # What it must fit
-    # Time of the computer, with its zone. Message time may be simulated: it tells no age
-    now: datetime,
+    path: Path, settings: Settings, now: datetime
 ) -> tuple[CoefficientSet, Notes, timedelta]:
     """Read a state file and how long ago it was saved; raise if it is not of this aircraft, or old.
 
-    The age is by the computer's clock, and negative if that was set back.
+    The age is by the computer's clock, as message time may be simulated. It is negative if that was
+    set back.
     """
     modified = path.stat().st_mtime
     coefficients, notes = load_with_notes(path, settings.structure)
@@ -112,12 +107,7 @@ class Memory:
     writes, one file at a time: a disk may be slow.
     """
 
-    def __init__(
-        self,
-        identifier: OnlineIdentifier,  # Whose coefficients are kept
-        node_name: str,  # Full name of the node
-        log: RcutilsLogger,  # Takes what is read, refused and written
-    ) -> None:
+    def __init__(self, identifier: OnlineIdentifier, node_name: str, log: RcutilsLogger) -> None:
         self._identifier, self._log = identifier, log
         self._path = state_path(identifier.settings, node_name)
         self._refused = False  # Whether the file that is there is none of ours, and is kept aside
@@ -163,10 +153,7 @@ class Memory:
     def save(self, estimate: Estimate | None, *, last: bool = False) -> tuple[bool, str]:
         """Write the coefficients now, whatever they are worth; wait for the `last` ones.
 
-        Returns
-        -------
-        (bool, str)
-            Whether they are written or being written, and a line that says which.
+        Return whether they are written or being written, and a line that says which.
         """
         if (path := self._path) is None:
             return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
@@ -220,12 +207,8 @@ class Memory:
         if failed := self._outcome():
             self._log.error(failed)
 
-    def attend(
-        self,
-        estimate: Estimate | None,  # The newest
-        now: float,  # Monotonic time, s
-    ) -> None:
-        """Save usable coefficients when it is time; to be called about once a second."""
+    def attend(self, estimate: Estimate | None, now: float) -> None:
+        """Save usable coefficients when it is time, by a steady clock, s; call it each second."""
         self._look()
         period = self._identifier.settings.save_period
         if period == 0.0 or estimate is None or not estimate.usable:

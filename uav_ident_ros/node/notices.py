@@ -28,12 +28,8 @@ class Throttle:
         self._logged: dict[tuple[str, ...], float] = {}
         self._kept: Counter[tuple[str, ...]] = Counter()
 
-    def notice(
-        self,
-        key: tuple[str, ...],  # What counts as the same notice, such as (topic, reason)
-        line: str,
-    ) -> None:
-        """Give the notice `key`, or count it."""
+    def notice(self, key: tuple[str, ...], line: str) -> None:
+        """Give a notice, or count it; what has the same key, (topic, reason), is the same one."""
         now = self._clock()
         if key in self._logged and now - self._logged[key] < REPEAT_AFTER:
             self._kept[key] += 1
@@ -60,21 +56,15 @@ R = TypeVar("R")
 class Guard:
     """Wraps callbacks so that their errors are told instead of ending the node."""
 
-    def __init__(
-        self,
-        errors: Throttle,  # Takes the errors, with where they arose
-    ) -> None:
+    def __init__(self, errors: Throttle) -> None:
         self._errors = errors
         self.count = 0  # Errors so far
         self.problem = ""  # The last one, in a sentence; empty if there was none
 
     def __call__(
-        self,
-        callback: Callable[P, R],  # What may fail
-        # Called with the same arguments after a failure; its value is returned
-        otherwise: Callable[..., R] | None = None,
+        self, callback: Callable[P, R], otherwise: Callable[..., R] | None = None
     ) -> Callable[P, R | None]:
-        """Return `callback`, guarded."""
+        """Return `callback`, guarded: after a failure `otherwise` is called in its place."""
 
         @functools.wraps(callback)
         def guarded(*args: P.args, **kwargs: P.kwargs) -> R | None:

@@ -30,12 +30,8 @@ class Outputs:
             dim=[MultiArrayDimension(**d._asdict()) for d in coefficients_layout(structure)]
         )
 
-    def publish(
-        self,
-        estimate: Estimate,  # What to publish
-        frame_id: str,  # Frame of its rates: that of the Imu's messages
-    ) -> None:
-        """Publish an estimate on every topic, stamped with its tick."""
+    def publish(self, estimate: Estimate, frame_id: str) -> None:
+        """Publish an estimate on every topic, stamped with its tick; rates in the Imu's frame."""
         stamp = to_stamp(estimate.t_ns)
         names, positions, efforts = named_entries(estimate, self._structure)
         self._named.publish(

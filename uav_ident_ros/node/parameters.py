@@ -47,12 +47,10 @@ QOS_POLICIES: dict[str, dict[str, Any]] = {
 misspelt override, and fails on a wrong one."""
 
 
-def settings_of(
-    node: Node,  # A node whose settings are not declared yet
-    # Names of the topics that it subscribes to, as in the code: their QoS may be overridden
-    topics: Sequence[str],
-) -> Settings:
+def settings_of(node: Node, topics: Sequence[str]) -> Settings:
     """Build the settings from what the command line and the parameter files give to `node`.
+
+    The QoS of its subscriptions to `topics` may be overridden.
 
     Raises
     ------
@@ -141,11 +139,7 @@ def _constraints(setting: Setting) -> str:
     return "; ".join(parts)
 
 
-def follow_changes(
-    node: Node,  # Its parameters are declared
-    settings: Settings,  # The settings in use
-    apply: Callable[[Settings], object],  # Takes the settings after a change
-) -> None:
+def follow_changes(node: Node, settings: Settings, apply: Callable[[Settings], object]) -> None:
     """Judge changes of parameters at run time by the declaration, and pass on what is allowed.
 
     The node's services run between its ticks, and so does what is done here. Parameters that

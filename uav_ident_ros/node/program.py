@@ -55,11 +55,8 @@ REFUSALS = (
 """What a wrong command line, parameter or file raises before the node runs."""
 
 
-def explain(
-    error: Exception,  # One of `REFUSALS`
-    argv: Sequence[str],  # The command line: it names the parameter files
-) -> str:
-    """Say in one line what is wrong and what would be right."""
+def explain(error: Exception) -> str:
+    """Say in one line what is wrong, by one of `REFUSALS`, and what would be right."""
     message = without_sources(str(error))
     if isinstance(error, rclpy_implementation.UnknownROSArgsError):
         return f"unknown ROS arguments {message}"
@@ -119,7 +116,7 @@ def run(
         node = make()
         _log_sources(node, argv)
     except REFUSALS as error:
-        print(f"{name}: {explain(error, argv)}", file=sys.stderr)
+        print(f"{name}: {explain(error)}", file=sys.stderr)
         rclpy.try_shutdown()
         return USAGE_ERROR
     try:
@@ -178,11 +175,7 @@ parameters, with their defaults:
 {}"""
 
 
-def usage(
-    name: str,  # Of the program
-    text: str,  # What it does
-    settings: Iterable[Setting],  # Its parameters
-) -> str:
+def usage(name: str, text: str, settings: Iterable[Setting]) -> str:
     """Return what ``--help`` prints: how a node is started, what it does, every parameter."""
     entries = []
     for setting in settings:

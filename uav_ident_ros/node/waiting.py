@@ -18,6 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ARMED, RATES, Drop
+from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.node.inputs import Input
@@ -120,13 +121,9 @@ STEPS = 3
 class Jumps:
     """Tells steps in which /clock moves from a jump now and then."""
 
-    def __init__(
-        self,
-        time_jump: float,  # Step of /clock from which on it counts as a jump, s
-        # Ticks per second: jumps in a row have less than a second of ticks between them
-        update_rate: float,
-    ) -> None:
-        self._time_jump, self._few_ticks = time_jump, update_rate
+    def __init__(self, settings: Settings) -> None:
+        # jumps in a row have less than a second of ticks between them
+        self._time_jump, self._few_ticks = settings.time_jump, settings.update_rate
         self._in_row, self._ticks, self._step = 0, 0, 0.0
 
     def add(self, seconds: float, ticks: int) -> None:
@@ -174,12 +171,7 @@ of its own."""
 class Waiting:
     """Looks once a second for what keeps the node from an estimate."""
 
-    def __init__(
-        self,
-        node: Node,  # Knows the graph and the clock
-        identifier: OnlineIdentifier,  # Knows the newest stamp
-        inputs: Iterable[Input],  # What is subscribed to
-    ) -> None:
+    def __init__(self, node: Node, identifier: OnlineIdentifier, inputs: Iterable[Input]) -> None:
         self._node, self._identifier = node, identifier
         self._inputs = [own for own in inputs if own.stream.setting]  # others need not come
         self._looks: dict[str, deque[tuple[int, Counter[str]]]] = {
@@ -191,11 +183,8 @@ class Waiting:
         # the actuators are soon far from them: that is no fault of the actuators
         self.imu_moves = False
 
-    def reason(
-        self,
-        ticks: int,  # Ticks computed since the start
-    ) -> str:
-        """Return what is missed, and what to do; empty if nothing is."""
+    def reason(self, ticks: int) -> str:
+        """Return what is missed after so many ticks, and what to do; empty if nothing is."""
         newest_ns = self._identifier.intake.newest_ns
         stamp_stood, ticks_stood = self._stamp.stood(newest_ns), self._ticks.stood(ticks)
         self.imu_moves = stamp_stood == 0.0
