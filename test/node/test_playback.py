@@ -85,16 +85,6 @@ def test_a_looped_bag_starts_cold_and_a_jump_ahead_keeps_the_coefficients(
     assert player.outputs.coefficients[-1].data != learned
 
 
-def test_a_clock_that_moves_in_steps_is_a_fault_that_names_the_cure(
-    flight: Recording, shared: tuple[NodeProcess, Player]
-) -> None:
-    _, player = shared
-    for k in range(4):
-        player.send_clock(flight.messages[0].log_ns + k * 1_500_000_000)
-        player.spin_for(0.1)
-    wait_for_words(player, "/clock moves in steps of 1.5 s, and each of 'time_jump' (1 s)")
-
-
 class Cdr:
     """Reader of little-endian XCDR1, by `struct` and docs/controllers.md alone."""
 

@@ -32,7 +32,7 @@ from uav_ident_ros.node.notices import Guard, Throttle, without_numbers
 from uav_ident_ros.node.outputs import Outputs
 from uav_ident_ros.node.parameters import declare, follow_changes, settings_of
 from uav_ident_ros.node.program import spin
-from uav_ident_ros.node.waiting import Jumps, Waiting
+from uav_ident_ros.node.waiting import Waiting
 from uav_ident_ros.ros import RELIABLE
 
 DIAGNOSTICS_PERIOD = 1.0
@@ -67,7 +67,6 @@ class IdentifierNode(Node):
         warnings = Throttle(partial(self._log, DiagnosticStatus.WARN))
         self._inputs = Inputs(self, self.identifier, warnings, self._guard)
         self._waiting = Waiting(self, self.identifier, self._inputs.all.values())
-        self._jumps = Jumps(settings)
         self._outputs = Outputs(self, self.identifier.structure)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._logged, self._warnings = "", list[str]()  # The last state and warnings
@@ -148,10 +147,8 @@ class IdentifierNode(Node):
         if jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
             if now_ns == jump.delta.nanoseconds:
                 return  # the first /clock: before it, there was no time to jump from
-            seconds = jump.delta.nanoseconds * 1e-9
-            self._jumps.add(seconds, self._meter.count)
-            cold = seconds < 0.0
-            what = f"/clock jumped by {seconds:+.3f} s"
+            cold = jump.delta.nanoseconds < 0
+            what = f"/clock jumped by {jump.delta.nanoseconds * 1e-9:+.3f} s"
         else:
             cold, what = False, "the node's clock changed"
         if cold:
@@ -216,7 +213,6 @@ class IdentifierNode(Node):
         fault = (
             self._guard.problem
             or self._inputs.rates.fault
-            or self._jumps.fault(self._meter.count)
             or (self.identifier.intake.fault if self._waiting.imu_moves else "")
         )
         if fault:

@@ -18,7 +18,6 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ARMED, RATES, Drop
-from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.node.inputs import Input
@@ -112,35 +111,6 @@ class Progress:
         if value != self._last:
             self._last, self._since = value, now
         return now - self._since
-
-
-STEPS = 3
-"""Jumps in a row that are no accident but how /clock moves."""
-
-
-class Jumps:
-    """Tells steps in which /clock moves from a jump now and then."""
-
-    def __init__(self, settings: Settings) -> None:
-        # jumps in a row have less than a second of ticks between them
-        self._time_jump, self._few_ticks = settings.time_jump, settings.update_rate
-        self._in_row, self._ticks, self._step = 0, 0, 0.0
-
-    def add(self, seconds: float, ticks: int) -> None:
-        """Note a jump by `seconds` after so many ticks since the start."""
-        again = seconds > 0.0 and ticks - self._ticks < self._few_ticks
-        self._in_row = self._in_row + 1 if again else 1
-        self._step, self._ticks = seconds, ticks
-
-    def fault(self, ticks: int) -> str:
-        """Return why the filters restart for ever; empty if they do not."""
-        if self._in_row < STEPS or ticks - self._ticks >= self._few_ticks:
-            return ""
-        return (
-            f"/clock moves in steps of {self._step:.3g} s, and each of 'time_jump' "
-            f"({self._time_jump:g} s) or more restarts the filters: publish it more often "
-            "(ros2 bag play --clock 100)"
-        )
 
 
 SILENT_AFTER = 2.0
