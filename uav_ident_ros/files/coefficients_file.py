@@ -18,13 +18,11 @@ One format serves ``coefficients.yaml``, ``initial_coefficients_file`` and the s
 Numbers survive the way to disk and back to the last bit. Everything is checked on loading.
 """
 
-import errno
 import glob
 import json
 import math
 import os
 import re
-import stat
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -200,13 +198,10 @@ def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[Coe
 
 def _text_of(path: Path) -> str:
     """Read a file, unless it is none that could be ours: a pipe would block for ever."""
-    status = path.stat()
-    if stat.S_ISDIR(status.st_mode):
-        raise IsADirectoryError(errno.EISDIR, "it is a folder")
-    if not stat.S_ISREG(status.st_mode):
-        raise EntryError("it is not a regular file")
-    if status.st_size > LARGEST_FILE:
-        raise EntryError(f"it has {status.st_size} bytes, more than any such file")
+    if path.exists() and not path.is_file():
+        raise EntryError("it is not a file but a folder, a pipe or the like")
+    if (size := path.stat().st_size) > LARGEST_FILE:
+        raise EntryError(f"it has {size} bytes, more than any such file")
     return path.read_text(encoding="utf-8")
 
 
