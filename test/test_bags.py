@@ -193,7 +193,7 @@ def test_missing_foreign_and_damaged_files(tmp_path: Path) -> None:
     (tmp_path / "nothing.mcap").write_bytes(b"")
     for name, words in (
         ("nowhere", "'.*nowhere' does not exist"),
-        ("empty", r"has neither metadata\.yaml nor an \.mcap or \.db3 or \.bag file"),
+        ("empty", r"has no \.mcap or \.db3 or \.bag file, and there is no metadata\.yaml"),
         ("notes.txt", "is no bag: an .mcap file, a rosbag2 folder or a .bag of ROS 1"),
         ("text.mcap", "'text.mcap' is no MCAP file"),
         ("nothing.mcap", "'nothing.mcap' is empty"),

@@ -262,19 +262,16 @@ def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
         path = path.parent
     files, reason = [path], ""
     if path.is_dir():
-        reason = f"there is no {METADATA_FILE}"
         files = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+        reason = f"there is no {METADATA_FILE}"
         if (path / METADATA_FILE).exists():
             try:
                 return [_open(path)]
             except Exception as error:  # what a parser raises on damaged bytes cannot be foreseen
-                reason = _reason(error).replace(f"{path}{os.sep}", "")
-                reason = f"{METADATA_FILE} cannot be used ({reason})"
-            if not files:
-                raise BagError(f"bag '{path}' cannot be read: {reason}")
-        elif not files:
+                reason = f"{METADATA_FILE} cannot be used ({_reason(error, path)})"
+        if not files:
             suffixes = " or ".join(STORAGE_SUFFIXES)
-            raise BagError(f"bag '{path}' has neither {METADATA_FILE} nor an {suffixes} file")
+            raise BagError(f"bag '{path}' has no {suffixes} file, and {reason}")
     elif not path.is_file():
         raise BagError(f"bag '{path}' is neither a file on a disk nor a folder")
     elif path.suffix not in STORAGE_SUFFIXES:
@@ -314,7 +311,7 @@ def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
         try:
             return _open(file)
         except Exception as error:  # as above
-            reason = _reason(error).replace(f"{file.parent}{os.sep}", "")
+            reason = _reason(error, file.parent)
         if file.suffix == ".mcap":
             try:
                 saved = SalvageReader(file)
@@ -347,9 +344,9 @@ def _foreign(file: Path) -> str:
     return f"'{file.name}' is {'no MCAP file' if start else 'empty'}"
 
 
-def _reason(error: Exception) -> str:
-    """One line on what a parser stumbled over."""
+def _reason(error: Exception, folder: Path | None = None) -> str:
+    """One line on what a parser stumbled over, without the path of the folder that it is in."""
     if isinstance(error, KeyError):
         return f"unexpected entry {error}"
-    lines = str(error).splitlines()
-    return lines[0].rstrip(".") if lines else type(error).__name__
+    line, *_ = str(error).splitlines() or [type(error).__name__]
+    return line.rstrip(".").replace(f"{folder}{os.sep}", "")
