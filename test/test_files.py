@@ -229,6 +229,11 @@ def test_any_yaml_reader_sees_numbers(tmp_path: Path) -> None:
         ("stamp: 1", "stamp: -1", "stamp is '-1.*': a stamp holds 0 to"),
         ("stamp: 1", "stamp: 1e999980 # ", "stamp is '1e999980': a stamp holds 0 to"),
         ("stamp: 1", "stamp: nan # ", "stamp is 'nan'"),
+        ("stamp: ", "saved: yesterday\nstamp: ", "saved is 'yesterday', not a time like"),
+        ("stamp: ", "saved: 2026-01-01\nstamp: ", "'2026-01-01', without a time zone"),
+        ("stamp: ", "usable: maybe\nstamp: ", "usable is 'maybe', not true or false"),
+        ("stamp: ", "learned_with: it\nstamp: ", "learned_with must be a mapping"),
+        ("stamp: ", "servo_lag: 0.7\nstamp: ", r"servo_lag is 0\.7: allowed is 0 to 0\.5 s"),
         ("sigma: ", "sigma: -", "the sigma of pdot/pq is negative"),
         ("value: ", "value: x", "the value of pdot/pq is 'x"),
         ("value: ", "value: .nan, sigma: 1} # ", "not a finite number"),
@@ -249,18 +254,24 @@ def test_each_fault_has_its_line(old: str, new: str, words: str, tmp_path: Path)
     assert "\n" not in str(caught.value)
 
 
-def test_wrong_structure_empty_missing_and_binary(tmp_path: Path) -> None:
+def test_wrong_structure_and_what_is_no_such_file(tmp_path: Path) -> None:
     path, _ = saved(tmp_path)
     with pytest.raises(CoefficientsFileError, match="for structure 'baseline', but 'structure' is"):
         load_coefficients(path, "augmented")
     for content, words in (
-        (b"", "it is empty"), (b"- 1\n", "must be a mapping"), (b"\xff\xff", "UTF-8")
+        (b"", "it is empty"), (b"- 1\n", "must be a mapping"), (b"\xff\xff", "UTF-8"),
+        (b"\0\1" * 500, "special characters"), (b"[" * 5000, "nested too deeply"),
+        (b"#" * 2_000_000, "more than any such file"),
     ):  # fmt: skip
         path.write_bytes(content)
         with pytest.raises(CoefficientsFileError, match=words):
             load_coefficients(path)
-    with pytest.raises(CoefficientsFileError, match="no such file"):
-        load_coefficients(tmp_path / "missing.yaml")
+    os.mkfifo(tmp_path / "pipe")
+    for name, words in (("missing.yaml", "no such file"), ("pipe", "a pipe"), ("", "a folder")):
+        with pytest.raises(CoefficientsFileError, match=words):
+            load_coefficients(tmp_path / name)
+    with pytest.raises(CoefficientsFileError, match="cannot write"):
+        save_coefficients(example(), tmp_path)
 
 
 def test_value_that_is_not_finite_is_not_written(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from recordings import NODE, Fly, call, recording
 from std_srvs.srv import Trigger
 
 from uav_ident_ros.files.coefficients_file import (
-    CoefficientsFileError,
     Notes,
     load_with_notes,
     save_coefficients,
@@ -91,12 +90,7 @@ def test_every_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
     ("spoil", "reason"),
     [
         (lambda text: text[: len(text) // 2], "line "),
-        (lambda text: "", "it is empty"),
-        (lambda text: "\x00\x01" * 500, "state file|special characters"),
-        (lambda text: "[" * 5000, "nested too deeply"),
-        (lambda text: "# " + "x" * 2_000_000, "more than any such file"),
         (lambda text: re.sub("value: 2.0", "value: 2.0e9", text, count=1), "beyond 1e\\+06"),
-        (lambda text: re.sub("saved: .*", "saved: yesterday", text), "saved is 'yesterday'"),
         (
             lambda text: re.sub("saved: .*", "saved: 2026-01-01T00:00:00Z", text),
             "saved 60 days ago",
@@ -121,24 +115,6 @@ def test_a_state_file_that_cannot_be_used_is_named_and_kept_aside(
     assert np.array_equal(load_with_notes(path)[0].values, vehicle.values)
 
 
-@pytest.mark.parametrize("kind", ["folder", "pipe", "another structure"])
-def test_a_folder_a_pipe_or_another_structure_is_no_state_file(
-    path: Path, kind: str, capfd: Capture
-) -> None:
-    path.parent.mkdir()
-    if kind == "another structure":
-        write(path, coefficients(2.0, "baseline"), saved=NOW)
-    else:
-        path.mkdir() if kind == "folder" else os.mkfifo(path)
-    vehicle = Vehicle(path)
-    printed = capfd.readouterr().err
-    assert ("it is for structure 'baseline'" if kind[0] == "a" else f"'{path}'") in printed
-    assert not vehicle.values.any()
-    vehicle.learn(1.0)
-    if kind == "folder":
-        assert not vehicle.memory.save(vehicle.estimate(usable=True))[0]
-
-
 def test_age_is_that_of_the_computers_clock(path: Path, capfd: Capture) -> None:
     """The message time is 5 ns, as simulated time may be: it does not count."""
     day = timedelta(days=1)
@@ -160,6 +136,16 @@ def test_age_is_that_of_the_computers_clock(path: Path, capfd: Capture) -> None:
         os.utime(path, (moment, moment))
         vehicle = Vehicle(path)
         assert vehicle.values.any() == started
+
+
+def test_without_a_state_file_nothing_is_written() -> None:
+    vehicle = Vehicle(Path("none"))
+    vehicle.learn(1.0)
+    done, line = vehicle.memory.save(vehicle.estimate(usable=True))
+    vehicle.memory.attend(vehicle.estimate(usable=True), now=100.0)
+    vehicle.memory.finish(vehicle.estimate(usable=True))
+    assert not done and "'state_file' is 'none'" in line
+    assert not Path("none").exists()
 
 
 def test_usable_coefficients_are_saved_by_themselves(path: Path) -> None:
@@ -211,9 +197,6 @@ def test_a_servo_lag_that_was_found_is_kept(path: Path) -> None:
     assert (vehicle.identifier.delay, vehicle.identifier.lag) == (0.0125, 0.0473)
     vehicle.learn(2.0)
     assert vehicle.identifier.lag == 0.0, "what is not told is as set"
-    write(path, coefficients(1.0), servo_lag=0.7)
-    with pytest.raises(CoefficientsFileError, match=r"servo_lag is 0\.7: allowed is 0 to 0\.5 s"):
-        load_with_notes(path)
 
 
 def test_spans_of_time_have_a_unit_that_suits() -> None:
@@ -251,14 +234,3 @@ def test_the_node_starts_cold_beside_a_damaged_file_and_goes_on_where_it_was_end
     player.play_in_step(flight.messages[:1500])
     mask = STRUCTURE.mask.ravel()
     assert (np.array(player.outputs.coefficients[0].data)[mask] == 0.5).all()
-
-
-def test_without_a_state_file_nothing_is_written_or_read(fly: Fly, ros_home: Path) -> None:
-    flight = recording("multisine", 5.0)
-    node, player = fly(flight, parameters={"state_file": "none"})
-    player.play_in_step(flight.messages[:1500])
-    answer = call(player, Trigger, "save")
-    assert not answer.success
-    assert "'state_file' is 'none'" in answer.message
-    assert node.end(signal.SIGINT) == 0
-    assert not ros_home.exists()
