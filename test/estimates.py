@@ -26,11 +26,11 @@ def estimate_of(
 
 def as_message(estimate: Estimate, structure: Structure) -> Any:
     """The message of the identifier's own making, as attributes."""
-    entries = named_entries(estimate, structure)
+    names, positions, efforts = named_entries(estimate, structure)
     seconds, rest = divmod(estimate.t_ns, 10**9)
     return SimpleNamespace(
         header=SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=rest)),
-        name=list(entries.names),
-        position=np.asarray(entries.positions).tolist(),
-        effort=np.asarray(entries.efforts).tolist(),
+        name=list(names),
+        position=positions.tolist(),
+        effort=efforts.tolist(),
     )

@@ -4,28 +4,18 @@
 Imports NumPy alone, as controllers do.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import ROWS, FloatArray, Structure
 
 
-class Dimension(NamedTuple):
-    """One std_msgs/msg/MultiArrayDimension."""
-
-    label: str
-    size: int
-    stride: int
-
-
-def coefficients_layout(structure: Structure) -> tuple[Dimension, Dimension]:
-    """Layout of ~/coefficients: the dense matrix of moment and force rows, row-major."""
+def coefficients_layout(structure: Structure) -> tuple[tuple[str, int, int], ...]:
+    """Label, size and stride of the dimensions of ~/coefficients: its rows, then its columns."""
     rows, n = len(structure.dense_rows), structure.size
     return (
-        Dimension(",".join(structure.dense_rows), rows, rows * n),
-        Dimension(",".join(structure.regressors), n, n),
+        (",".join(structure.dense_rows), rows, rows * n),
+        (",".join(structure.regressors), n, n),
     )
 
 
@@ -49,17 +39,14 @@ def dense_coefficients(estimate: Estimate, structure: Structure) -> FloatArray:
     return estimate.coefficients[: len(structure.dense_rows)]
 
 
-class NamedEntries(NamedTuple):
-    """Content of ~/coefficients_named."""
+def named_entries(
+    estimate: Estimate, structure: Structure
+) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    """Names, positions and efforts of ~/coefficients_named.
 
-    names: tuple[str, ...]  # See `entry_names`
-    positions: FloatArray  # (k,) Values, SI; the fits in percent; 1 or 0 for usable
-    # (k,) One standard deviation of each coefficient and flow angle, 0 for the others
-    efforts: FloatArray
-
-
-def named_entries(estimate: Estimate, structure: Structure) -> NamedEntries:
-    """Entries of ~/coefficients_named of an estimate."""
+    Positions are values, SI, then the fits in percent, and 1 or 0 for usable. Efforts are one
+    standard deviation of each coefficient and flow angle, and 0 for the others.
+    """
     verdict = (float(estimate.usable), *map(float, estimate.usable_rows))
     mask, flow = structure.mask, estimate.flow
     states: tuple[float, ...] = ()
@@ -70,4 +57,4 @@ def named_entries(estimate: Estimate, structure: Structure) -> NamedEntries:
     positions = np.concatenate([estimate.coefficients[mask], states, estimate.fit, verdict])
     rest = np.zeros(len(FIT_NAMES) + len(verdict))
     efforts = np.concatenate([estimate.sigma[mask], spreads, rest])
-    return NamedEntries(entry_names(structure), positions, efforts)
+    return entry_names(structure), positions, efforts

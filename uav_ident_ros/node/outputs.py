@@ -27,7 +27,10 @@ class Outputs:
         self._predicted = create(Vector3Stamped, "~/predicted_rates", RELIABLE)
         self._error = create(Vector3Stamped, "~/prediction_error", RELIABLE)
         self._layout = MultiArrayLayout(
-            dim=[MultiArrayDimension(**d._asdict()) for d in coefficients_layout(structure)]
+            dim=[
+                MultiArrayDimension(label=label, size=size, stride=stride)
+                for label, size, stride in coefficients_layout(structure)
+            ]
         )
 
     def publish(self, estimate: Estimate, frame_id: str) -> None:
