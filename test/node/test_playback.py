@@ -20,15 +20,14 @@ from recordings import (
     wait_for_words,
 )
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.offline.ticks import Ticks
-from uav_ident_ros.player import Player, PlayerError
+from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess
-from uav_ident_ros.ros import to_stamp
 
 ON_TIME = 2e-3
 """How late the player may be, s of the recording, rms: its stamps on arrival are off by as much."""
@@ -142,23 +141,6 @@ def test_both_topics_are_read_from_their_bytes_as_a_microcontroller_does(
     for row, line in zip(rows.split(","), np.array(data).reshape(n_rows, n), strict=True):
         for label, coefficient in zip(columns.split(","), line, strict=True):
             assert coefficient == value.get(f"{row}/{label}", 0.0)
-
-
-def test_what_goes_on_where_the_last_output_was_is_in_step_from_the_start(
-    flight: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A node that gets no time then sees no half second of /clock without messages to tick at."""
-    monkeypatch.setattr("uav_ident_ros.player.PATIENCE", 0.5)
-    player = Player(flight.classes, "/nobody")
-    try:
-        with pytest.raises(PlayerError, match=r"output of 0\.50 s into"):  # a node may start up
-            player.play_in_step(part(flight, 2.0, 3.0))
-        header = Header(stamp=to_stamp(part(flight, 0.0, 2.0)[-1].log_ns))
-        player.outputs.named.append(JointState(header=header))
-        with pytest.raises(PlayerError, match=r"output of 0\.00 s into"):
-            player.play_in_step(part(flight, 2.0, 3.0))
-    finally:
-        player.close()
 
 
 def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path: Path) -> None:
