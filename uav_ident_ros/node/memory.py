@@ -155,12 +155,9 @@ class Memory:
             return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
         if estimate is None:
             return False, "there is no estimate to save yet"
+        self._look(FINISH_WITHIN if last else 0.0)
         if self._writing is not None:
-            wait([self._writing], FINISH_WITHIN if last else 0.0)
-            if not self._writing.done():
-                hangs = f"the disk does not answer: '{path}' keeps what it held"
-                return False, hangs if last else f"still writing '{path}'"
-            self._look()
+            return False, f"the disk does not answer: still writing '{path}'"
         lag, told = self._identifier.lag, self._identifier.settings.actuators.time_constant
         notes = Notes(
             saved=datetime.now(UTC),
@@ -171,8 +168,7 @@ class Memory:
         )
         coefficients = self._identifier.coefficient_set(estimate.t_ns)
         self._writing = self._disk.submit(self._write, path, coefficients, notes)
-        wait([self._writing], None if last else ANSWER_WITHIN)
-        if failed := self._outcome():
+        if failed := self._outcome(None if last else ANSWER_WITHIN):
             return False, failed
         self._holds_usable = estimate.usable
         return True, f"writing '{path}'" if self._writing else f"saved to '{path}'"
@@ -185,9 +181,9 @@ class Memory:
         save_coefficients(coefficients, path, notes)
         return coefficients
 
-    def _outcome(self) -> str:
-        """Take note of what the thread has written; return what went wrong, or empty."""
-        if self._writing is None or not self._writing.done():
+    def _outcome(self, patience: float | None) -> str:
+        """Wait for what the thread writes, and note it; return what went wrong, or empty."""
+        if self._writing is None or wait([self._writing], patience).not_done:
             return ""
         done, self._writing = self._writing, None
         try:
@@ -199,27 +195,25 @@ class Memory:
         self._identifier.note_saved(self._known)
         return ""
 
-    def _look(self) -> None:
-        if failed := self._outcome():
+    def _look(self, patience: float = 0.0) -> None:
+        if failed := self._outcome(patience):
             self._log.error(failed)
 
     def attend(self, estimate: Estimate | None, now: float) -> None:
         """Save usable coefficients when it is time, by a steady clock, s; call it each second."""
         self._look()
         period = self._identifier.settings.save_period
-        if period == 0.0 or estimate is None or not estimate.usable:
-            return
-        if now - self._last_save < period:
+        if estimate is None or not estimate.usable or not 0.0 < period <= now - self._last_save:
             return
         self._last_save = now
-        if self._path is not None and self._changed(estimate):
+        if self._changed(estimate):
             done, line = self.save(estimate)
             if not done:
                 self._log.error(line)
 
     def finish(self, estimate: Estimate | None) -> None:
         """Write what was learned, at the end of the program."""
-        if self._path is None or estimate is None or not self._changed(estimate):
+        if estimate is None or not self._changed(estimate):
             return
         if self._holds_usable and not estimate.usable:
             return
@@ -230,5 +224,8 @@ class Memory:
             self._log.error(line)
 
     def _changed(self, estimate: Estimate) -> bool:
+        """Whether there is a file, and what was learned is not in it."""
+        if self._path is None:
+            return False
         values = self._identifier.coefficient_set(estimate.t_ns).values
         return not np.array_equal(values, self._known.values)
