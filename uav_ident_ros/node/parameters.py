@@ -9,12 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -117,10 +112,6 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
     if setting.type == "float" and setting.bounded:
         result.floating_point_range = [
             FloatingPointRange(from_value=setting.low, to_value=setting.high, step=0.0)
-        ]
-    elif setting.type == "int" and math.isfinite(setting.low) and math.isfinite(setting.high):
-        result.integer_range = [
-            IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)
         ]
     return result
 
