@@ -23,9 +23,6 @@ LARGEST_RATIO = 100
 """A file that is compressed as a whole may become so many times as large, or `LARGEST_PART`: Imu
 messages shrink to a fifth, those of a sensor that stands still to a fiftieth."""
 
-LARGEST_DEFINITION = 2**20
-"""Bytes of the longest definition of a message type: the longest of ROS 2's have some thousands."""
-
 
 class TooLargeError(Exception):
     """A compressed part of a bag becomes too large; the message says how large it may be."""

@@ -17,7 +17,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from uav_ident_ros.bags.limits import LARGEST_DEFINITION, guard_rosbags
+from uav_ident_ros.bags.limits import guard_rosbags
 from uav_ident_ros.bags.salvage import SalvageError, SalvageReader
 from uav_ident_ros.messages.types import listed
 
@@ -38,8 +38,6 @@ def _learn(store: Typestore, connection: Connection) -> None:
     definition, parse = connection.msgdef, PARSERS.get(connection.msgdef.format)
     if connection.msgtype in store.types or parse is None:
         return
-    if len(definition.data) > LARGEST_DEFINITION:
-        raise ValueError("it is too long")
     found = parse(definition.data, connection.msgtype)
     store.register({name: one for name, one in found.items() if name not in store.types})
 
@@ -97,12 +95,8 @@ class Bag:
             self.types: dict[str, str] = {}  # Message type of each topic, by name
             self.counts: Counter[str] = Counter()  # Number of messages of each topic
             for connection in sorted(self._connections, key=lambda connection: connection.topic):
-                topic, msgtype = connection.topic, connection.msgtype
-                if (known := self.types.setdefault(topic, msgtype)) != msgtype:
-                    raise BagError(
-                        f"bag '{path}': topic '{topic}' has two types, {known} and {msgtype}"
-                    )
-                self.counts[topic] += connection.msgcount
+                self.types.setdefault(connection.topic, connection.msgtype)
+                self.counts[connection.topic] += connection.msgcount
         except BaseException:
             self._stack.close()
             raise
@@ -284,11 +278,9 @@ def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
         try:
             readers.append(_open_file(file, path, found))
         except BagError as error:
-            if len(files) == 1:
-                raise
             found.append(str(error))
     if not readers:
-        raise BagError(f"bag '{path}' cannot be read: none of its {len(files)} files can")
+        raise BagError("; ".join(found))
     if reason and not found:
         found = [f"{reason}: the files were read without it"]
     damage += found
