@@ -56,9 +56,6 @@ PAGES = [
     *DOCS,
 ]
 PACKAGE = ROOT / "uav_ident_ros"
-LARGEST_PICTURE = 200_000
-"""Bytes: a clone should stay small."""
-
 # Top-level names of files and folders of this repository, as the pages write them.
 OURS = re.compile(
     r"^(?:scripts|config|bags|docs|test|launch|benchmarks|uav_ident_ros|requirements|\.ci)/\S+$"
@@ -203,13 +200,6 @@ def test_the_executables_listed_are_those_installed() -> None:
 def test_the_two_commands_open_the_readme_which_is_two_screens() -> None:
     assert code_blocks(text_of(README))[0].split() == ["scripts/demo", "scripts/test"]
     assert len(text_of(README).encode()) < LARGEST_README
-
-
-def test_pictures_are_small() -> None:
-    pictures = list((ROOT / "docs" / "images").glob("*"))
-    assert pictures
-    for picture in pictures:
-        assert picture.stat().st_size < LARGEST_PICTURE, picture.name
 
 
 # --- topics and services ---------------------------------------------------------------------

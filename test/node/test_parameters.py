@@ -115,26 +115,6 @@ def test_change_that_is_allowed_is_applied_and_a_set_of_them_only_whole(context:
     assert "read once" in node.describe_parameter("update_rate").additional_constraints
 
 
-def test_qos_override_changes_the_subscription(context: Context, tmp_path: Path) -> None:
-    path = tmp_path / "qos.yaml"
-    path.write_text(
-        "/**:\n  ros__parameters:\n    qos_overrides:\n      /imu/data:\n"
-        "        subscription: {depth: 7, reliability: reliable}\n",
-        encoding="utf-8",
-    )
-    from uav_ident_ros.identification.identifier import OnlineIdentifier
-    from uav_ident_ros.node.inputs import Inputs
-    from uav_ident_ros.node.notices import Guard, Throttle
-
-    node = make_node(context, "--params-file", str(path))
-    settings = settings_of(node, ("imu/data", "actuators"))
-    printed = Throttle(print)
-    Inputs(node, OnlineIdentifier(settings), printed, Guard(printed))
-    (profile,) = [s.qos_profile for s in node.subscriptions if s.topic_name == "/imu/data"]
-    assert profile.depth == 7
-    assert profile.reliability == rclpy.qos.ReliabilityPolicy.RELIABLE
-
-
 CHANGEABLE = [setting for setting in declarations() if not setting.read_only]
 LEARNING = ("forgetting_time", "model.leak_time")
 """What changes the estimate, and restarts nothing."""
