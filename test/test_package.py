@@ -73,16 +73,10 @@ def imports(path: Path, *, lazy: bool) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            origin = node.module or ""
-            if node.level:
-                above = path.relative_to(ROOT).parts[: -node.level]
-                origin = ".".join([*above, *filter(None, [node.module])])
-            yield origin
+            assert node.module and not node.level, f"{path} has a relative import"
             # `from package import module` names a module, too
-            yield from (f"{origin}.{alias.name}" for alias in node.names)
-        is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        is_typing = isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
-        if lazy or not (is_function or is_typing):
+            yield from (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
+        if lazy or not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             pending.extend(ast.iter_child_nodes(node))
 
 
