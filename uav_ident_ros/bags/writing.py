@@ -24,7 +24,7 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -121,21 +121,15 @@ class BagWriter:
     def __init__(self, path: Path | str, compress: bool = False) -> None:
         self.path = Path(path)
         self._topics: dict[str, Connection] = {}
-        try:
-            self._writer = Writer(
-                self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP
-            )
-        except WriterError as error:
-            raise BagWriteError(str(error)) from None
+        self._writer = Writer(
+            self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP
+        )
         if compress:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
 
     def __enter__(self) -> BagWriter:
         """Create the folder and open the file."""
-        try:
-            self._writer.open()
-        except (WriterError, OSError) as error:
-            raise BagWriteError(f"cannot write bag '{self.path}': {error}") from None
+        self._writer.open()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -197,7 +197,7 @@ def read_excitation(message: Any) -> tuple[int, tuple[float, ...]]:
     Raises
     ------
     ChannelError
-        If it names something else, holds no value for a name, or one that is not finite.
+        If it names something else, or holds no value for a name.
     """
     names, positions = list(message.name), list(message.position)
     unknown = [name for name in names if name not in INPUTS]
@@ -206,8 +206,6 @@ def read_excitation(message: Any) -> tuple[int, tuple[float, ...]]:
             f"names {names} with {len(positions)} positions: some of {', '.join(INPUTS)} are "
             "wanted, each with a position"
         )
-    if not all(map(math.isfinite, positions)):
-        raise ChannelError(f"position is {positions}: finite numbers are needed", NOT_FINITE)
     by_name = dict(zip(names, positions, strict=True))
     return header_ns(message), tuple(float(by_name.get(name, 0.0)) for name in INPUTS)
 
