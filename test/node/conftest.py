@@ -49,10 +49,10 @@ def flying(home: Path) -> Iterator[Fly]:
     with starting(home) as start, ExitStack() as players:
 
         def fly(
-            flight: Recording, *, clock: bool | None = None, sim_time: bool = False, **options: str
+            flight: Recording, *, sim_time: bool = False, **options: str
         ) -> tuple[NodeProcess, Player]:
             node = start(parameter_file=flight.parameter_file, sim_time=sim_time, **options)
-            player = Player(flight.classes, clock=sim_time if clock is None else clock)
+            player = Player(flight.classes, clock=sim_time)
             players.callback(player.close)
             player.wait_for_node()
             return node, player

@@ -100,20 +100,15 @@ def wait_for_words(player: Player, words: str) -> None:
     player.wait_until(lambda: any(words in s.message for s in player.outputs.status), words)
 
 
-def write_bag(flight: Recording, folder: Path) -> Path:
-    """Write a recording as a bag of its own."""
-    with BagWriter(folder) as bag:
+def replayed(flight: Recording, folder: Path) -> TickValues:
+    """Run `replay` on a recording and return what its estimates bag holds."""
+    with BagWriter(folder / "flight") as bag:
         for topic, name in flight.types.items():
             bag.topic(topic, name)
         for message in flight.messages:
             bag.write(message.topic, message.log_ns, message.data)
-    return folder
-
-
-def replayed(flight: Recording, folder: Path) -> TickValues:
-    """Run `replay` on a recording and return what its estimates bag holds."""
-    bag = write_bag(flight, folder / "flight")
-    assert replay(bag, folder / "out", by=flight.parameter_file) in (USABLE, NOT_USABLE)
+    status = replay(folder / "flight", folder / "out", by=flight.parameter_file)
+    assert status in (USABLE, NOT_USABLE)
     names = ("coefficients_named", "predicted_rates", "prediction_error")
     found = decoded(folder / "out" / "estimates")
     return joined(*([m for _, m in found[f"{NODE}/{name}"]] for name in names))
