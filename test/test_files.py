@@ -208,9 +208,10 @@ def saved(folder: Path) -> tuple[Path, str]:
 def test_any_yaml_reader_sees_numbers(tmp_path: Path) -> None:
     original = example()
     original.values[0, 0] = 1e-5  # Python writes 1e-05, which YAML 1.1 takes for a word
+    original.sigma[0, 0] = np.nan
     save_coefficients(original, tmp_path / "coefficients.yaml")
     content = yaml.safe_load((tmp_path / "coefficients.yaml").read_text(encoding="utf-8"))
-    assert content["coefficients"]["pdot/pq"]["value"] == 1e-5
+    assert content["coefficients"]["pdot/pq"] == {"value": 1e-5, "sigma": np.inf}
     assert list(content["coefficients"]) == list(STRUCTURES["baseline"].names)
 
 
