@@ -63,13 +63,6 @@ ASCII = Glyphs("-/\\", "_.-~^", "x+", "z", " deg")
 """For terminals without UTF-8."""
 
 
-class _Plain(Console):
-    """A console that leaves a reader who has gone to its caller; rich's own exits with 1."""
-
-    def on_broken_pipe(self) -> None:
-        raise BrokenPipeError
-
-
 class View:
     """Shows what has been heard: on the whole terminal, or in plain lines where there is none."""
 
@@ -79,10 +72,8 @@ class View:
     ) -> None:
         self.period = 1.0  # Seconds between two pictures
         self._screen: Live | None = None
-        self._gap = ""
-        self._console: Console
         if plain or not sys.stdout.isatty():
-            self._console = _Plain(force_terminal=False, color_system=None, highlight=False)
+            self._console = Console(force_terminal=False, color_system=None, highlight=False)
         else:
             self._console, self.period = Console(), 0.5
             self._screen = Live(
@@ -96,10 +87,9 @@ class View:
         if self._screen is not None:
             self._screen.update(shown, refresh=True)
             return
-        self._console.print(self._gap, end="")
-        self._console.print(shown)
-        self._console.file.flush()
-        self._gap = "\n"  # blocks are an empty line apart
+        with self._console.capture() as block:  # rich itself exits where the reader has gone
+            self._console.print(shown)
+        print(block.get(), flush=True)  # blocks are an empty line apart
 
     def close(self) -> None:
         """Leave the terminal as it was."""
@@ -244,21 +234,21 @@ def _line(label: str, *parts: str | tuple[str, str]) -> Text:
 
 def _inputs(watched: WatchedNode) -> Iterator[RenderableType]:
     """Yield what arrives on every input, and what was dropped for which reason."""
-    for stream, values in watched.groups.items():
-        if "topic" not in values:
-            continue
-        age, dropped = values.get("age [s]", "?"), values.get("dropped", "0")
+    values = watched.values
+    for stream in (key.removesuffix(": topic") for key in values if key.endswith(": topic")):
+        age, dropped = values[f"{stream}: age [s]"], values[f"{stream}: dropped"]
         yield _line(
             stream,
-            (f"{values['topic']:<20}", "bold"),
-            f"  {values.get('rate [Hz]', '?')} Hz",
+            (f"{values[f'{stream}: topic']:<20}", "bold"),
+            f"  {values[f'{stream}: rate [Hz]']} Hz",
             f"  age {age} s" if age[:1].isdigit() else f"  {age}",
             (f"  dropped {dropped}", "" if dropped == "0" else "yellow"),
         )
-        counts = {k.partition(": ")[2]: n for k, n in values.items() if k.startswith("dropped: ")}
-        if counts:
-            reasons = ", ".join(f"{reason} {count}" for reason, count in counts.items())
-            yield Padding(Text(f"dropped: {reasons}", "yellow", no_wrap=True), (0, 0, 0, 10))
+        start = f"{stream}: dropped: "
+        reasons = [f"{k.removeprefix(start)} {n}" for k, n in values.items() if k.startswith(start)]
+        if reasons:
+            words = f"dropped: {', '.join(reasons)}"
+            yield Padding(Text(words, "yellow", no_wrap=True), (0, 0, 0, 10))
 
 
 def _mode(mode: Mode, glyphs: Glyphs) -> str:
@@ -271,7 +261,7 @@ def _mode(mode: Mode, glyphs: Glyphs) -> str:
 
 def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
     """Yield the state of the model, its modes, the delay, the ticks and what is collinear."""
-    values, flow = watched.group(), watched.newest and watched.newest.flow
+    values, flow = watched.values, watched.newest and watched.newest.flow
     if flow:
         angles = (
             f"{name} {math.degrees(getattr(flow, name)):+.1f}{glyphs.degrees}, "
@@ -280,17 +270,16 @@ def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
         yield _line("state", *angles, f"airspeed {flow.airspeed:.1f} m/s")
     if modes := watched.modes():
         yield _line("modes", ", ".join(_mode(mode, glyphs) for mode in modes))
-    yield from _excitation(watched.group("excite"))
-    delay, ticks, line = watched.number("delay [s]"), watched.group("ticks"), Text(no_wrap=True)
-    if delay is not None:
-        confidence = values.get("delay confidence", "")
-        words = CONFIDENCE.get(confidence, confidence)
-        line += _line("delay", (f"{1e3 * delay:.0f} ms", "bold"), f"  {words}  ")
+    yield from _excitation(values)
+    line = Text(no_wrap=True)
+    if (delay := watched.number("delay [s]")) is not None:
+        confidence = CONFIDENCE[values["delay confidence"]]
+        line += _line("delay", (f"{1e3 * delay:.0f} ms", "bold"), f"  {confidence}  ")
     if lag := values.get("servo lag [s]"):
         line += _line("servo lag", f"{lag} s  ")
-    if "count" in ticks:
-        cost = ticks.get("update time p99 [ms]")
-        line += _line("ticks", ticks["count"], f"  update {cost} ms (p99)" if cost else "")
+    if count := values.get("ticks: count"):
+        cost = values.get("ticks: update time p99 [ms]")
+        line += _line("ticks", count, f"  update {cost} ms (p99)" if cost else "")
     if line:
         yield line
     collinear = values.get("collinear", "nothing")
@@ -300,15 +289,15 @@ def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
 
 def _excitation(values: Mapping[str, str]) -> Iterator[Text]:
     """Yield how a run of excitation goes, or how the last one ended; nothing before the first."""
-    ended = values.get("last run", "none yet")
-    if "remaining [s]" in values:
-        left = values.get("until known [s]", "?")
-        known = f"known in {left} s" if left.isdigit() else "still unknown"
+    ended = values.get("excite: last run", "none yet")
+    if left := values.get("excite: remaining [s]"):
+        until = values["excite: until known [s]"]
+        known = f"known in {until} s" if until.isdigit() else "still unknown"
         yield _line(
             "excite",
-            (values.get("state", "?"), "bold magenta"),
-            f"  {values.get('elapsed [s]', '?')} s, at most {values['remaining [s]']} s left",
-            f"  {known}: {values.get('not known yet', '?')}",
+            (values["excite: state"], "bold magenta"),
+            f"  {values['excite: elapsed [s]']} s, at most {left} s left",
+            f"  {known}: {values['excite: not known yet']}",
         )
     elif ended != "none yet":
         yield _line("excite", (ended, "yellow" if ended.startswith("aborted") else ""))

@@ -61,7 +61,7 @@ class WatchedNode:
         self.node = node
         # state, reason: Its state word by the newest status on /diagnostics, and why it is in it
         self.state, self.reason = "", "no status on /diagnostics yet"
-        self.groups: dict[str, dict[str, str]] = {}  # Everything beneath, by group and label
+        self.values: Mapping[str, str] = {}  # Everything beneath, by label
         self.newest: Coefficients | None = None  # Its newest coefficients
         self.ticks = 0  # Ticks heard
         self.publishers = 1  # Nodes that publish under this name; more than one is a mistake
@@ -83,21 +83,12 @@ class WatchedNode:
     def diagnosed(self, message: str, values: Mapping[str, str]) -> None:
         """Take one status: its message, and its values by label."""
         self.state, _, self.reason = message.partition(": ")
-        self.groups = {}
-        for key, value in values.items():
-            group, grouped, label = key.partition(": ")
-            if not grouped:
-                group, label = "", key
-            self.groups.setdefault(group, {})[label] = value
-
-    def group(self, name: str = "") -> dict[str, str]:
-        """Return the values of a group of the status; without a name, of those in none."""
-        return self.groups.get(name, {})
+        self.values = values
 
     def number(self, label: str) -> float | None:
-        """Return a value that is in no group as a number; None if it is missing or none."""
+        """Return a value of the status as a number; None if it is missing or none."""
         try:
-            return float(self.group()[label])
+            return float(self.values[label])
         except (KeyError, ValueError):
             return None
 
