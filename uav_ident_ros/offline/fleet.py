@@ -25,7 +25,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
 from uav_ident_ros.offline import USABLE
-from uav_ident_ros.offline.job import VERDICTS, Outcome
+from uav_ident_ros.offline.job import VERDICTS, Outcome, optional
 from uav_ident_ros.offline.tables import Number, Row, Table
 
 CSV_FILE = "flights.csv"
@@ -67,18 +67,8 @@ class FlightRow:
 
 
 def arrow() -> tuple[Any, Any]:
-    """Return the package pyarrow and the columns as it writes them.
-
-    Raises
-    ------
-    BagError
-        If it is missing.
-    """
-    try:
-        import pyarrow.csv
-        import pyarrow.parquet
-    except ImportError:
-        raise BagError("a table of flights needs pyarrow: pip install pyarrow") from None
+    """Return the package pyarrow and the columns as it writes them; raises `BagError`."""
+    pyarrow, _, _ = map(optional, ("pyarrow", "pyarrow.csv", "pyarrow.parquet"))
     kinds = {"str": pyarrow.string(), "int": pyarrow.int64()}
     named = [(f.name, kinds.get(str(f.type), pyarrow.float64())) for f in fields(FlightRow)]
     return pyarrow, pyarrow.schema(named)

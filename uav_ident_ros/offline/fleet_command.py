@@ -13,8 +13,8 @@ from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_coefficients
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.fleet import Aircraft, fleet_of, read_flights
+from uav_ident_ros.offline.job import optional
 from uav_ident_ros.offline.tables import columns
-from uav_ident_ros.report import PictureError, drawing
 
 DESCRIPTION = """\
 Put the flights of each aircraft together: pooled coefficients with their scatter from flight to
@@ -60,7 +60,7 @@ def main(args: list[str] | None = None) -> int:
         if not fleet:
             raise BagError(f"'{first}' has no flights")
         files = write_fleet(folder, fleet)
-    except (BagError, BagWriteError, CoefficientsFileError, PictureError) as error:
+    except (BagError, BagWriteError, CoefficientsFileError) as error:
         print(f"fleet: {error}", file=sys.stderr)
         return NO_RESULT
     print("\n".join(line for aircraft in fleet for line in describe(aircraft)))
@@ -73,11 +73,11 @@ def write_fleet(folder: Path, fleet: Sequence[Aircraft]) -> list[Path]:
 
     Raises
     ------
-    BagWriteError, CoefficientsFileError, PictureError
-        If something cannot be written.
+    BagError, BagWriteError, CoefficientsFileError
+        If a package is missing, or something cannot be written.
     """
     files = [folder / "fleet.html"]
-    drawing("fleet_page").write_fleet_page(files[0], fleet)
+    optional("uav_ident_ros.report.fleet_page").write_fleet_page(files[0], fleet)
     several = {a.name for a in fleet if sum(b.name == a.name for b in fleet) > 1}
     for aircraft in fleet:
         if aircraft.pooled:

@@ -7,8 +7,11 @@ import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+from tqdm import tqdm
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.bags.writing import BagWriteError, write_file
@@ -27,7 +30,6 @@ from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.summary import Replayed, notes_on
 from uav_ident_ros.offline.tables import AXES, write_table
 from uav_ident_ros.offline.ticks import write_estimates
-from uav_ident_ros.report import PictureError, drawing
 
 BEGINS = {"reading": 0.0, "scoring": 0.75, "measuring": 0.85, "writing": 0.9, "drawing": 0.95}
 """Phases of a replay, and the share of its time before them, on flights of ten minutes."""
@@ -39,38 +41,26 @@ LINE_EVERY = 30.0
 """Time between two lines where there is no terminal, s."""
 
 
-def bar(**options: Any) -> Any:
-    """Return a tqdm bar on the error stream."""
-    from tqdm import tqdm
+class Bar(tqdm):
+    """A bar on the error stream; where there is no terminal, a line now and then."""
 
-    tqdm.monitor_interval = 0  # its thread would take Ctrl-C where this one holds it back
-    pace = {"mininterval": 0.0}
-    if not sys.stderr.isatty():
-        pace = {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
-    return tqdm(leave=False, miniters=0, **pace, **options)
+    monitor_interval = 0  # its thread would take Ctrl-C where this one holds it back
+
+    def __init__(self, **options: Any) -> None:
+        wait = 0.0 if sys.stderr.isatty() else LINE_EVERY
+        super().__init__(leave=False, miniters=0, mininterval=wait, delay=wait, **options)
 
 
-class Progress:
+class Progress(Bar):
     """Progress over all phases with the time that is left; a context manager."""
 
-    def __init__(
-        self,
-        shown: bool = True,  # Silent if not: the work of one process among many
-    ) -> None:
+    def __init__(self, **options: Any) -> None:
         form = "{desc:<9} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-        self._bar = bar(total=1.0, bar_format=form, disable=not shown)
-
-    def __enter__(self) -> Progress:
-        """Return itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Leave the terminal as it was."""
-        self._bar.close()
+        super().__init__(total=1.0, bar_format=form, **options)
 
     def enter(self, phase: str) -> None:
         """Begin a phase, one of `BEGINS`; all before it are done."""
-        self._bar.set_description_str(phase, refresh=False)
+        self.set_description_str(phase, refresh=False)
         self._reach(BEGINS[phase])
 
     def messages(self, messages: Iterable[Message], total: int) -> Iterator[Message]:
@@ -82,7 +72,24 @@ class Progress:
             yield message
 
     def _reach(self, share: float) -> None:
-        self._bar.update(max(share - self._bar.n, 0.0))
+        self.update(max(share - self.n, 0.0))
+
+
+def optional(module: str) -> Any:
+    """Return a module that not every machine has, or that needs such a one.
+
+    Raises
+    ------
+    BagError
+        If a package is missing.
+    """
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        missing = (error.name or module).partition(".")[0]
+        raise BagError(
+            f"the Python package '{missing}' is missing: pip install {missing}"
+        ) from None
 
 
 # --- the job --------------------------------------------------------------------------------------
@@ -94,7 +101,6 @@ REFUSALS = (
     CoefficientsFileError,
     MessageTypeError,
     ParameterFileError,
-    PictureError,
     SettingsError,
 )
 """What bad input raises."""
@@ -160,7 +166,8 @@ class Outcome:
         return fit
 
 
-SILENT = Progress(shown=False)
+SILENT = Progress(disable=True)
+"""For the work of one process among many."""
 
 
 def replay(job: Job, progress: Progress = SILENT) -> Outcome:
@@ -180,9 +187,11 @@ def replay(job: Job, progress: Progress = SILENT) -> Outcome:
         write_results(job.folder, replayed)
         progress.enter("drawing")
         if job.plot:
-            drawing("picture").write_picture(job.folder / "replay.png", replayed)
+            optional("uav_ident_ros.report.picture").write_picture(
+                job.folder / "replay.png", replayed
+            )
         if job.report:
-            drawing("page").write_report(job.folder / "report.html", replayed)
+            optional("uav_ident_ros.report.page").write_report(job.folder / "report.html", replayed)
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
     status = NOT_USABLE if replayed.doubt else USABLE

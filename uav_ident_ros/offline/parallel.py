@@ -23,7 +23,7 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import bag_files, name_size_hash
-from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, bar, replay
+from uav_ident_ros.offline.job import REFUSALS, Bar, Job, Outcome, optional, replay
 
 DONE_FILE = "replayed.json"
 
@@ -49,7 +49,7 @@ def replay_all(
         If the scheduler does not answer, or Dask is missing.
     """
     outcomes: dict[Path, Outcome] = {}
-    with bar(total=len(jobs), unit=" replays") as shown:
+    with Bar(total=len(jobs), unit=" replays") as shown:
         for job, outcome in _there(jobs, scheduler) if scheduler else _here(jobs, workers):
             lost = f"bag '{job.bag}': the process that read it was ended"
             outcomes[job.folder] = outcome or Outcome(job, NO_RESULT, (lost,))
@@ -60,11 +60,7 @@ def replay_all(
 def _there(jobs: Sequence[Job], scheduler: str) -> Outcomes:
     """Yield the outcomes of a cluster."""
     try:
-        from distributed import Client
-    except ImportError:
-        raise BagError("--scheduler needs Dask: pip install distributed") from None
-    try:
-        client = Client(scheduler)
+        client = optional("distributed").Client(scheduler)
     except (OSError, ValueError) as error:
         raise BagError(f"no Dask scheduler answers at '{scheduler}': {error}") from None
     with client, client.get_executor(pure=False, retries=ATTEMPTS) as executor:
