@@ -227,7 +227,7 @@ def test_names_that_change_from_run_to_run_are_replaced_and_numbers_are_not() ->
         line = Timeline((0.0, 1.0), [])
         chart = line.figure("y", 100)
         line.line(chart, columns({"t": numbers, "y": numbers}), "y", "tick")
-        return _embed([Chart("one", "One", chart, "spoken")])
+        return _embed([Chart("one", "One", chart)])
 
     (script, divs), (again, other) = drawn(), drawn()
     assert divs == other

@@ -72,12 +72,10 @@ def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[C
         both = {"predicted": second.predicted[:, k], "residual": second.residual[:, k]}
         ahead = line.source(second.t, both, TICK_BINS)
         line.line(chart, ahead, "predicted", "ahead", name="predicted 1 s before")
-        word = AXIS_WORDS[axis].lower()
         yield Chart(
             f"rates-{axis}",
             f"{AXIS_WORDS[axis]} rate {axis}",
             chart,
-            f"Measured {word} rate over time, and its prediction from one second before.",
             legend=(("measured", "measured"), ("predicted 1 s before", "ahead")),
         )
         reach = max(_reach(flight, prediction, k) for prediction in (second, tick))
@@ -90,7 +88,6 @@ def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[C
             f"residual-{axis}",
             f"Residual of {axis}",
             chart,
-            f"Measured minus predicted {word} rate over time.",
             legend=(("1 s ahead", "ahead"), ("one tick ahead", "tick")),
         )
 
@@ -118,8 +115,7 @@ def signal_charts(flight: Flight, line: Timeline) -> Iterator[Chart]:
             unit = f" [{UNITS[name]}]" if name in UNITS else ""
             chart = line.figure(f"{name}{unit}", 130, y_range=value_range(values))
             line.line(chart, source, name, color)
-            spoken = f"{kind.capitalize()} {name} over time."
-            yield Chart(f"{kind}-{name}", f"{kind.capitalize()} {name}", chart, spoken)
+            yield Chart(f"{kind}-{name}", f"{kind.capitalize()} {name}", chart)
 
 
 def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator[Chart]:
@@ -145,13 +141,7 @@ def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator
         if true_t:
             known = columns({"t": true_t, "true": true})
             line.line(chart, known, "true", "truth", line_dash="dashed", line_width=1.5)
-        yield Chart(
-            f"coefficient-{name.replace('/', '-')}",
-            name,
-            chart,
-            f"Coefficient {name} over time with a band of one standard deviation.",
-            small=True,
-        )
+        yield Chart(f"coefficient-{name.replace('/', '-')}", name, chart, small=True)
 
 
 # -- what was learned when ---------------------------------------------------------------------
@@ -190,7 +180,6 @@ def state_chart(flight: Flight, line: Timeline, reasons: Iterable[str]) -> Chart
         "states",
         "State, verdict, and reasons not to learn",
         chart,
-        "State of the identifier over time, when its model was usable, and why it paused.",
         legend=tuple((state, state) for state in reversed(GRAVEST)),
     )
 

@@ -141,7 +141,6 @@ def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
         "whiteness",
         "Autocorrelation of the residuals",
         chart,
-        "Autocorrelation of the residuals one tick ahead over the lag, for p, q and r.",
         "Residuals one tick ahead over the last 40 %. White noise stays in the grey band 95 times "
         "in 100. What stands out is a lag, a missing term, or gusts.",
     )
@@ -183,8 +182,7 @@ def spectrum_charts(flight: Flight) -> Iterator[Chart]:
         chart.add_layout(
             Span(dimension="height", location=cutoff, line_dash="dotted", line_width=1)
         )
-        spoken = f"Power densities of the {name} over frequency."
-        yield Chart(f"spectra-{name}", f"Spectra of the {name}", chart, spoken)
+        yield Chart(f"spectra-{name}", f"Spectra of the {name}", chart)
 
 
 def coverage_charts(flight: Flight) -> Iterator[Chart]:
@@ -205,8 +203,7 @@ def coverage_charts(flight: Flight) -> Iterator[Chart]:
             dh=spans[1][1] - spans[1][0],
             color_mapper=LinearColorMapper(Blues256[200::-1], nan_color="#ffffff00"),
         )
-        spoken = f"How often {x} and {y} had which values."
-        yield Chart(f"coverage-{x}-{y}", f"{y} over {x}", chart, spoken, small=True)
+        yield Chart(f"coverage-{x}-{y}", f"{y} over {x}", chart, small=True)
 
 
 def mode_chart(found: Sequence[Mode]) -> Chart:
@@ -235,7 +232,6 @@ def mode_chart(found: Sequence[Mode]) -> Chart:
         "mode-plane",
         "Modes in the complex plane",
         chart,
-        "Eigenvalues of the identified model: " + ", ".join(mode.name for mode in found) + ".",
         "Each cross is an eigenvalue, its ellipse one standard deviation. What is right of zero, "
         "in the shaded half, grows.",
     )
@@ -275,7 +271,6 @@ def delay_chart(
     delays: FloatArray,  # (J,) Delays tried, s
     errors: FloatArray,  # (J, 3) Squared prediction errors of p, q, r with them, positive
     in_use: float,  # Delay that the identifier ended with, s
-    text: str,  # The finding in words
 ) -> Chart:
     """Return how well models with every delay of the inputs predict."""
     rows, together = delay_rise(errors)
@@ -291,7 +286,6 @@ def delay_chart(
         "delay-curve",
         "Prediction error over delay",
         chart,
-        text,
         "How much worse models predict the next second when the inputs are taken that much later. "
         "A sharp valley is a known delay, a flat one is not. The orange line is the delay in use.",
     )

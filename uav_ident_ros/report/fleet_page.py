@@ -81,5 +81,4 @@ def _charts(k: int, aircraft: Aircraft) -> Iterator[Chart]:
         drawn = chart.scatter("number", "value", source=source, color="color", size=6)
         tips = (("", "@flight"), (name, "@value{0.0000}"), ("sigma", "@sigma{0.0000}"))
         hover(chart, drawn, *tips)
-        spoken = f"{name} in every usable flight of {aircraft.name}, with its sigma."
-        yield Chart(f"fleet-{k}-{name.replace('/', '-')}", name, chart, spoken, small=True)
+        yield Chart(f"fleet-{k}-{name.replace('/', '-')}", name, chart, small=True)

@@ -142,7 +142,7 @@ def _delay_section(bank: DelayBank, in_use: float) -> Section:
             f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
             f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
         )
-    charts = [diagrams.delay_chart(bank.delays, errors, in_use, text)] if separated else []
+    charts = [diagrams.delay_chart(bank.delays, errors, in_use)] if separated else []
     return Section("delay", "Delay", [text], charts=charts)
 
 

@@ -40,7 +40,6 @@ class Chart:
     identity: str  # Unique on the page
     heading: str  # What it shows
     model: Any  # The Bokeh figure
-    spoken: str  # The chart in words, for those who listen
     caption: str = ""  # How to read it
     legend: tuple[tuple[str, str], ...] = ()  # Names, and the colours that stand for them
     small: bool = False  # Whether several fit side by side
