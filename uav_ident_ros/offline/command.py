@@ -15,7 +15,7 @@ from uav_ident_ros.commandline import INTERRUPTED, reader_has_gone
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.fleet import arrow, rows_of, write_flights
-from uav_ident_ros.offline.job import VERDICTS, Job, Outcome, Progress, replay
+from uav_ident_ros.offline.job import VERDICTS, Job, Outcome, replay
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.tables import (
     AXES,
@@ -128,8 +128,7 @@ def _one(options: argparse.Namespace) -> int:
     (bag,) = options.bags
     name = bag.resolve().stem
     folder = options.output or Path(f"replay_{name}")
-    with Progress() as progress:
-        outcome = replay(_job(options, bag, name, folder), progress)
+    outcome = replay(_job(options, bag, name, folder), shown=True)
     _warn(*outcome.warnings)
     if outcome.summary:
         _print(f"{write_table(outcome.summary)}\n\nwritten to {folder}{os.sep}")

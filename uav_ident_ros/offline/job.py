@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One bag replayed with one configuration: what is asked for, how far it is, what came of it."""
+"""One bag replayed with one configuration: what is asked for, and what came of it."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -31,12 +31,6 @@ from uav_ident_ros.offline.summary import Replayed, notes_on
 from uav_ident_ros.offline.tables import AXES, write_table
 from uav_ident_ros.offline.ticks import write_estimates
 
-BEGINS = {"reading": 0.0, "scoring": 0.75, "measuring": 0.85, "writing": 0.9, "drawing": 0.95}
-"""Phases of a replay, and the share of its time before them, on flights of ten minutes."""
-
-STEPS = 400
-"""So many times the reading says how far it is."""
-
 LINE_EVERY = 30.0
 """Time between two lines where there is no terminal, s."""
 
@@ -46,33 +40,9 @@ class Bar(tqdm):
 
     monitor_interval = 0  # its thread would take Ctrl-C where this one holds it back
 
-    def __init__(self, **options: Any) -> None:
-        wait = 0.0 if sys.stderr.isatty() else LINE_EVERY
-        super().__init__(leave=False, miniters=0, mininterval=wait, delay=wait, **options)
-
-
-class Progress(Bar):
-    """Progress over all phases with the time that is left; a context manager."""
-
-    def __init__(self, **options: Any) -> None:
-        form = "{desc:<9} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-        super().__init__(total=1.0, bar_format=form, **options)
-
-    def enter(self, phase: str) -> None:
-        """Begin a phase, one of `BEGINS`; all before it are done."""
-        self.set_description_str(phase, refresh=False)
-        self._reach(BEGINS[phase])
-
-    def messages(self, messages: Iterable[Message], total: int) -> Iterator[Message]:
-        """Pass messages on and show how many of the total have been read."""
-        every = max(1, total // STEPS)
-        for count, message in enumerate(messages):
-            if count % every == 0:
-                self._reach(BEGINS["scoring"] * min(count / total, 1.0))
-            yield message
-
-    def _reach(self, share: float) -> None:
-        self.update(max(share - self.n, 0.0))
+    def __init__(self, *what: Any, **options: Any) -> None:
+        pace = {} if sys.stderr.isatty() else {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
+        super().__init__(*what, leave=False, miniters=0, **pace, **options)
 
 
 def optional(module: str) -> Any:
@@ -166,26 +136,20 @@ class Outcome:
         return fit
 
 
-SILENT = Progress(disable=True)
-"""For the work of one process among many."""
-
-
-def replay(job: Job, progress: Progress = SILENT) -> Outcome:
+def replay(
+    job: Job,
+    shown: bool = False,  # Whether a bar shows how much of the bag has been read
+) -> Outcome:
     """Do a job: run the identifier over the bag and write the results.
 
     Bad input is an outcome, too: nothing of `REFUSALS` is raised.
     """
     warnings: list[str] = []
     try:
-        progress.enter("reading")
-        run, notes = _run(job, progress, warnings)
-        progress.enter("scoring")
+        run, notes = _run(job, shown, warnings)
         fits = run.score()
-        progress.enter("measuring")
         replayed = Replayed(job.name, job.bag, run, fits, measure(run, fits), notes)
-        progress.enter("writing")
         write_results(job.folder, replayed)
-        progress.enter("drawing")
         if job.plot:
             optional("uav_ident_ros.report.picture").write_picture(
                 job.folder / "replay.png", replayed
@@ -208,14 +172,18 @@ def write_results(folder: Path, replayed: Replayed) -> None:
     save_coefficients(run.result(), folder / "coefficients.yaml")
 
 
-def _run(job: Job, progress: Progress, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
+def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
     """Run the identifier over the bag; return it, and what the bag is like."""
+
+    def wrap(messages: Iterable[Message], total: int) -> Iterable[Message]:
+        return Bar(messages, total=total, unit=" messages", disable=not shown)
+
     values = job.parameters()
     with Bag(job.bag) as bag:
         try:
             inputs = choose_inputs(bag, values, job.topics)
             run = OfflineRun(inputs, initial_coefficients(inputs.settings))
-            run.run(bag, progress.messages)
+            run.run(bag, wrap)
             warnings += [f"fault: {run.fault}"] if run.fault else []
             noted = run.identifier.plausibility.noted.values()
             warnings += [f"implausible: {found.text}" for found in noted]
