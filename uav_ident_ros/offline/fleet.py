@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,32 +36,27 @@ PARQUET_FILE = "flights.parquet"
 
 @dataclass(frozen=True)
 class FlightRow:
-    """One coefficient of one flight; of a flight without a result there is one row without any."""
+    """One coefficient of one flight, with the columns of docs/fleets.md.
 
-    # aircraft, flight: The aircraft, and the name of the flight
+    Of a flight without a result there is one row without a coefficient.
+    """
+
     aircraft: str
     flight: str
-    start_ns: int = 0  # Message time of the first tick, ns; 0 if there is none
-    duration: float = 0.0  # Time from the first to the last tick, s
-    # verdict, reason: ``usable``, ``not usable`` or ``no result``, and why
+    start_ns: int = 0
+    duration: float = 0.0
     verdict: str = ""
     reason: str = ""
-    # structure, coefficient: Structure of the model and name of the coefficient
     structure: str = ""
     coefficient: str = ""
-    # value, sigma: Its value and standard deviation, SI; a sigma of zero is that of a fixed one
     value: float | None = None
-    sigma: float | None = None
-    # fit_p, fit_q, fit_r, hold_p, hold_q, hold_r: Prediction fit over the last 40 % of the flight,
-    # and that of holding the rates, percent
+    sigma: float | None = None  # Zero of a fixed one
     fit_p: float | None = None
     fit_q: float | None = None
     fit_r: float | None = None
     hold_p: float | None = None
     hold_q: float | None = None
     hold_r: float | None = None
-    # bag, bag_hash, settings_hash, version: The bag, SHA-256 of its files and of the settings,
-    # version of the package
     bag: str = ""
     bag_hash: str = ""
     settings_hash: str = ""
@@ -313,21 +310,17 @@ def fleet_of(rows: Iterable[FlightRow]) -> list[Aircraft]:
 
     An aircraft whose models have several structures is there once for each.
     """
-    flights: dict[tuple[str, str], list[FlightRow]] = {}
-    for row in rows:
-        flights.setdefault((row.aircraft, row.flight), []).append(row)
-    ordered = sorted(flights.values(), key=lambda own: (own[0].start_ns, own[0].flight))
+    ordered = sorted(rows, key=attrgetter("aircraft", "start_ns", "flight"))
     fleet = []
-    for name in sorted({aircraft for aircraft, _ in flights}):
+    for name, flights in groupby(ordered, key=attrgetter("aircraft")):
         unusable: list[tuple[str, str]] = []
         usable: dict[str, list[list[FlightRow]]] = {}
-        for own in (own for own in ordered if own[0].aircraft == name):
-            first = own[0]
+        for flight, own in groupby(flights, key=attrgetter("flight")):
+            first, *others = own
             if first.verdict == VERDICTS[USABLE]:
-                usable.setdefault(first.structure, []).append(own)
+                usable.setdefault(first.structure, []).append([first, *others])
             else:
-                why = f"{first.verdict}: {first.reason}".rstrip(": ")
-                unusable.append((first.flight, why))
+                unusable.append((flight, f"{first.verdict}: {first.reason}".rstrip(": ")))
         fleet += [
             _judged(name, structure, usable.get(structure, []), tuple(unusable))
             for structure in sorted(usable) or [""]
