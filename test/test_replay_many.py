@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 from excerpts import BAGS, PARAMETERS, excerpt, parameter_file, replay, summary
-from programs import PATIENCE, Capture, Terminal, python, refusal, wait_for
+from programs import PATIENCE, Capture, Terminal, python, wait_for
 from repository import ROOT
 
 from uav_ident_ros.bags.reading import BagError
@@ -282,13 +282,6 @@ def test_a_cluster_gives_the_same_table(
                 os.kill(worker.process.pid, signal.SIGKILL)
         assert process.wait(300.0) == 2
     assert contents(tmp_path) == contents(replayed[0])
-
-
-def test_a_scheduler_that_is_not_there_is_one_line(
-    logs: Path, tmp_path: Path, capsys: Capture
-) -> None:
-    line = refusal(main, arguments(logs, tmp_path, "--scheduler", "nonsense://x"), capsys)
-    assert line.startswith("replay: no Dask scheduler answers at 'nonsense://x'")
 
 
 # --- many configurations -----------------------------------------------------------------------

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimates of a flight: packed in memory, and as a bag.
-
-An hour of them as objects would take a quarter of a GB.
-"""
+"""The estimates of a flight: in memory, and as a bag."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from operator import attrgetter
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import overload
 
 import numpy as np
 
@@ -26,43 +23,28 @@ from uav_ident_ros.bags.writing import (
     whole,
 )
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.messages.published import coefficients_layout, dense_coefficients, named_entries
 
-_VECTORS = ("predicted_rates", "prediction_error", "fit")
-_WORDS = ("adapting", "usable", "usable_rows", "state", "reason")
-_FLOW = len(FlowState._fields)
-
-
-class _Packed(NamedTuple):
-    """An estimate."""
-
-    t_ns: int
-    numbers: FloatArray  # Free coefficients, their sigmas, `_VECTORS`, the flow state if any
-    words: tuple[Any, ...]  # `_WORDS`; those of many ticks are one object
-
 
 class Ticks(Sequence[Estimate]):
-    """Estimates of one structure, in order."""
+    """Estimates of one structure, in order.
+
+    Only the free coefficients are kept: an hour of whole matrices would take twice the memory.
+    """
 
     def __init__(self, structure: Structure, estimates: Iterable[Estimate] = ()) -> None:
         self._structure = structure
-        self._packed: list[_Packed] = []
-        self._known: dict[Any, Any] = {}
+        self._packed: list[Estimate] = []
         for estimate in estimates:
             self.append(estimate)
 
     def append(self, estimate: Estimate) -> None:
         """Add the next one."""
         mask = self._structure.mask
-        flow = () if estimate.flow is None else estimate.flow
-        vectors = (getattr(estimate, name) for name in _VECTORS)
-        numbers = (estimate.coefficients[mask], estimate.sigma[mask], *vectors, flow)
-        words = attrgetter(*_WORDS)(estimate)
-        words = self._known.setdefault(words, words)
-        self._packed.append(_Packed(estimate.t_ns, np.concatenate(numbers), words))
+        free, sigma = estimate.coefficients[mask], estimate.sigma[mask]
+        self._packed.append(replace(estimate, coefficients=free, sigma=sigma))
 
     def chosen(self, which: Iterable[int]) -> Ticks:
         """Return those at some places, in their order; they share the numbers."""
@@ -80,15 +62,10 @@ class Ticks(Sequence[Estimate]):
     def __getitem__(self, item: int | slice) -> Estimate | Ticks:
         if isinstance(item, slice):
             return self.chosen(range(len(self))[item])
-        t_ns, numbers, words = self._packed[item]
-        mask, size = self._structure.mask, len(self._structure.free)
+        packed, mask = self._packed[item], self._structure.mask
         values, sigma = np.zeros(mask.shape), np.zeros(mask.shape)
-        values[mask], sigma[mask] = numbers[: 2 * size].reshape(2, -1)
-        end = 2 * size + 3 * len(_VECTORS)
-        vectors = numbers[2 * size : end].reshape(-1, 3).copy()
-        flow = FlowState(*numbers[end:].tolist()) if len(numbers) == end + _FLOW else None
-        named = dict(zip((*_VECTORS, *_WORDS), (*vectors, *words), strict=True))
-        return Estimate(t_ns, values, sigma, flow=flow, **named)
+        values[mask], sigma[mask] = packed.coefficients, packed.sigma
+        return replace(packed, coefficients=values, sigma=sigma)
 
     def stamps(self) -> TimeArray:
         """Return the ticks, ns, shape (K,)."""
@@ -96,17 +73,14 @@ class Ticks(Sequence[Estimate]):
 
     def usable_share(self) -> FloatArray:
         """Return the share of the ticks at which each moment row was usable, shape (3,)."""
-        rows = _WORDS.index("usable_rows")
-        usable: FloatArray = np.array([packed.words[rows] for packed in self._packed], float)
-        return np.asarray(usable.mean(axis=0))
+        return np.asarray(np.mean([packed.usable_rows for packed in self._packed], axis=0))
 
     def history(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """Return one coefficient and its standard deviation over the ticks, (K,) each."""
-        free = self._structure.free
-        k, size = free.index(index), len(free)
-        found = [(packed.numbers[k], packed.numbers[k + size]) for packed in self._packed]
+        k = self._structure.free.index(index)
+        found = [(packed.coefficients[k], packed.sigma[k]) for packed in self._packed]
         values, sigma = np.array(found).reshape(-1, 2).T
-        return values.copy(), sigma.copy()
+        return values, sigma
 
 
 # --- as a bag -------------------------------------------------------------------------------------
