@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -24,25 +24,17 @@ ACCURACY = {"rtol": 1e-8, "atol": 1e-10, "max_step": 0.05}
 BASELINE, AUGMENTED = STRUCTURES["baseline"], STRUCTURES["augmented"]
 FLIGHT = STRUCTURES["flight_dynamics"]
 AIRSPEED = 18.0
+NO_ARM = np.zeros(3)
 
 
-@dataclass
-class Record:
-    """A flight as measured."""
+@dataclass(frozen=True)
+class Record(prediction.Flown):
+    """A flight as measured, and what was published in it."""
 
-    t_ns: NDArray[np.int64]
-    rates: Array
-    inputs: prediction.InputSignal
-    force: Array
     ticks_ns: NDArray[np.int64]
     coefficients: Array
     structure: Structure
-    lever_arm: Array = field(default_factory=lambda: np.zeros(3))
     flow: Array | None = None
-
-    @property
-    def flown(self) -> prediction.Flown:
-        return prediction.Flown(self.t_ns, self.rates, self.inputs, self.force, self.lever_arm)
 
     @property
     def published(self) -> prediction.Published:
@@ -61,7 +53,7 @@ class Record:
 
     def everything(self) -> prediction.PredictionFit:
         """The fit over all windows."""
-        errors = prediction.window_errors(self.flown, self.published)
+        errors = prediction.window_errors(self, self.published)
         return prediction.fit(errors, np.ones(len(errors.t_ns), dtype=bool))
 
 
@@ -97,12 +89,11 @@ def fly(
     rate: float = 100.0,
     delay: float = 0.0,
     time_constant: float = 0.0,
-    lever_arm: Array | None = None,
+    lever_arm: Array = NO_ARM,
     jitter: float = 0.0,
-    seed: int = 0,
 ) -> Record:
     """Integrate a plant; servo lag and delay are written down independently."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     a = matrix(structure, AIRCRAFT | {"qdot/dth": 0.3, "pdot/dth": 0.2, "rdot/dth": -0.1})
     tu = np.arange(-0.2, duration + 0.2, 0.05)
     u = rng.uniform(-0.1, 0.1, (len(tu), 4))
@@ -133,18 +124,15 @@ def fly(
     actual = servo if time_constant else np.array([commanded(v) for v in t])
     regressors = structure.regressor(x, actual, flow[:, :2] if structure is FLIGHT else force_of(t))
     force = regressors @ a[3:5].T if structure is FLIGHT else force_of(t)
-    if lever_arm is not None:
-        wdot = regressors @ a[:3].T
-        swing = np.cross(wdot, lever_arm) + np.cross(x, np.cross(x, lever_arm))
-        force = force + swing[:, 1:]
+    swing = np.cross(regressors @ a[:3].T, lever_arm) + np.cross(x, np.cross(x, lever_arm))
+    force = force + swing[:, 1:]
     first_tick = -(-int(t_ns[0]) // 50_000_000)
     ticks_ns = 50_000_000 * np.arange(first_tick, int(t_ns[-1]) // 50_000_000 + 1)
     known = slice(int((duration + 0.2) / 0.05))
     signal = prediction.InputSignal(tu_ns[known], u[known], delay, time_constant)
     coefficients = np.broadcast_to(a, (len(ticks_ns), *a.shape))
     return Record(
-        t_ns, x, signal, force, ticks_ns, coefficients, structure,
-        np.zeros(3) if lever_arm is None else lever_arm,
+        t_ns, x, signal, force, lever_arm, ticks_ns, coefficients, structure,
         flow_states_at(ticks_ns, t_ns, flow) if structure is FLIGHT else None,
     )  # fmt: skip
 
@@ -192,7 +180,7 @@ def test_lever_arm_is_accounted_for(structure: Structure) -> None:
     arm = np.array([0.3, -0.05, 0.1])
     record = fly(structure, duration=4.0, rate=200.0, lever_arm=arm)
     assert (record.everything().measured_force > 99.8).all()
-    assert (replace(record, lever_arm=np.zeros(3)).everything().measured_force < 95.0).any()
+    assert (replace(record, lever_arm=NO_ARM).everything().measured_force < 95.0).any()
 
 
 def inside(record: Record, tick: int, horizon: float = 1.0) -> NDArray[np.bool_]:
@@ -247,7 +235,7 @@ def test_predictions_ahead_are_where_an_integration_ends(
     record = fly(structure, duration=3.0)
     factors = np.random.default_rng(3).uniform(0.5, 1.5, (len(record.ticks_ns), 1, 1))
     record = replace(record, coefficients=record.coefficients * factors)
-    t_ns, ahead = prediction.predict_ahead(record.flown, record.published, horizon)
+    t_ns, ahead = prediction.predict_ahead(record, record.published, horizon)
     horizon_ns = round(horizon * 1e9)
     count = int((record.ticks_ns + horizon_ns <= record.t_ns[-1]).sum())
     np.testing.assert_array_equal(t_ns, record.ticks_ns[:count] + horizon_ns)
@@ -307,7 +295,7 @@ def test_windows_of_the_record_and_their_counts() -> None:
     ticks = START_NS + 50_000_000 * np.arange(1, 1201)
     inputs = prediction.InputSignal(t_ns, np.zeros((6001, 4)))
     coefficients = np.zeros((1200, 3, BASELINE.size))
-    flown = prediction.Flown(t_ns, rates, inputs, np.zeros((6001, 2)), np.zeros(3))
+    flown = prediction.Flown(t_ns, rates, inputs, np.zeros((6001, 2)), NO_ARM)
     errors = prediction.window_errors(flown, prediction.Published(ticks, coefficients, BASELINE))
     result = prediction.score_windows(errors, int(t_ns[0]), int(t_ns[-1]))
     assert list(result) == list(prediction.SELECTIONS) == ["last_40_percent", "after_30_s"]
@@ -341,7 +329,7 @@ def test_no_window_spans_a_gap_or_needs_unknown_inputs() -> None:
     record = fly(duration=8.0)
     t = (record.t_ns - START_NS) * 1e-9
     cut = record.samples((t < 3.0) | (t > 3.5))
-    errors = prediction.window_errors(cut.flown, cut.published)
+    errors = prediction.window_errors(cut, cut.published)
     starts = (errors.t_ns - START_NS) * 1e-9
     assert not ((starts > 1.995) & (starts < 3.505)).any()
     assert (errors.count[:, 0] >= 99).all()
@@ -350,7 +338,7 @@ def test_no_window_spans_a_gap_or_needs_unknown_inputs() -> None:
     )
     assert beyond.all()
     known = replace(record.inputs, t_ns=record.inputs.t_ns[50:90], u=record.inputs.u[50:90])
-    errors = prediction.window_errors(replace(record, inputs=known).flown, record.published)
+    errors = prediction.window_errors(replace(record, inputs=known), record.published)
     assert errors.t_ns[0] == pytest.approx(known.t_ns[0])
     # held for the timeout after the last
     assert (errors.t_ns[-1] - known.t_ns[-1]) * 1e-9 == pytest.approx(0.5 - 1.0)

@@ -135,6 +135,7 @@ class Replayed:
         """Everything worth keeping, ready for JSON."""
         run, identifier = self.run, self.run.identifier
         last, result, settings = run.estimates[-1], run.result(), run.inputs.settings
+        usable = np.mean([estimate.usable_rows for estimate in run.estimates], axis=0)
         content: dict[str, Any] = _json(
             {
                 "version": SUMMARY_VERSION,
@@ -159,7 +160,7 @@ class Replayed:
                 "usable": not self.doubt,
                 "doubt": self.doubt,
                 "usable_rows": dict(zip(ROWS, run.judged.usable_rows, strict=True)),
-                "usable_share": dict(zip(ROWS, run.estimates.usable_share(), strict=True)),
+                "usable_share": dict(zip(ROWS, usable, strict=True)),
                 "gates": {
                     name: cost._asdict()
                     for name, cost in identifier.supervisor.gates.costs().items()

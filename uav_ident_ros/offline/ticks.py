@@ -71,10 +71,6 @@ class Ticks(Sequence[Estimate]):
         """Return the ticks, ns, shape (K,)."""
         return np.array([packed.t_ns for packed in self._packed], dtype=np.int64)
 
-    def usable_share(self) -> FloatArray:
-        """Return the share of the ticks at which each moment row was usable, shape (3,)."""
-        return np.asarray(np.mean([packed.usable_rows for packed in self._packed], axis=0))
-
     def history(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """Return one coefficient and its standard deviation over the ticks, (K,) each."""
         k = self._structure.free.index(index)

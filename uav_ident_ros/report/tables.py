@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from markupsafe import escape
 
 from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.estimators.information import Information
@@ -15,14 +14,6 @@ from uav_ident_ros.offline.tables import Number, Row, Table, Words
 from uav_ident_ros.report.charts import AXIS_WORDS
 from uav_ident_ros.report.diagrams import SIGNALS, signals
 from uav_ident_ros.report.flight import Flight
-
-
-class Code(Words):
-    """A cell that is broken anywhere: a hash."""
-
-    def __html__(self) -> str:
-        """Return it for a page."""
-        return f'<span class="hash">{escape(str(self))}</span>'
 
 
 def gates_table(lost: Mapping[str, float]) -> Table:
@@ -89,7 +80,7 @@ def origin_tables(
     files: Sequence[tuple[str, int, str]], versions: Mapping[str, str]
 ) -> Iterator[Table]:
     """Yield the files of the bag with their hashes, and the versions of the software."""
-    rows = [Row(name, [f"{size}", Code(digest)]) for name, size, digest in files]
+    rows = [Row(name, [f"{size}", Words(digest)]) for name, size, digest in files]
     yield Table("Bag", ("file", "bytes", Words("SHA-256")), rows)
     software = [Row(name, [version]) for name, version in versions.items()]
     yield Table("Software", ("package", "version"), software)

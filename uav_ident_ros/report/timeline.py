@@ -155,7 +155,6 @@ def thin(
     t: FloatArray,  # (k,) Times, s, rising
     columns: Mapping[str, FloatArray],  # Names and values, (k,) each
     bins: int,  # Bins over the whole time; no more than twice as many samples stay as they are
-    gap: float = LONGEST_GAP,  # Time without samples from which the lines are broken, s
 ) -> dict[str, FloatArray]:
     """Keep the smallest and the largest value of every column in every bin of time.
 
@@ -165,7 +164,7 @@ def thin(
         ``t`` and the columns, of one length; NaN between two pieces.
     """
     values = np.stack([np.asarray(column, dtype=float) for column in columns.values()], axis=1)
-    gaps = np.flatnonzero(np.diff(t) > gap) + 1  # the first samples after them
+    gaps = np.flatnonzero(np.diff(t) > LONGEST_GAP) + 1  # the first samples after them
     if len(t) > 2 * bins:
         place = ((t - t[0]) * (bins / (t[-1] - t[0]))).astype(int).clip(max=bins - 1)
         starts = np.union1d(np.flatnonzero(np.diff(place, prepend=-1)), gaps)
