@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from uav_ident_ros.bags.reading import BagError
+from uav_ident_ros.bags.reading import STORAGE_SUFFIXES, BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import INTERRUPTED, reader_has_gone
 from uav_ident_ros.offline import NO_RESULT
@@ -144,7 +144,7 @@ def _all(jobs: Sequence[Job], options: argparse.Namespace) -> list[Outcome]:
 
 def _many(options: argparse.Namespace) -> int:
     arrow()  # without it there would be no table of what is about to take hours
-    bags = [bag for path in options.bags for bag in _bags_of(path, len(options.bags) > 1)]
+    bags = _bags_of(options.bags)
     where, folder = options.output or Path(), "{}" if options.output else "replay_{}"
     named = zip(bags, names_of(bags), strict=True)
     jobs = [_job(options, bag, name, where / folder.format(name)) for bag, name in named]
@@ -156,16 +156,15 @@ def _many(options: argparse.Namespace) -> int:
     return max(outcome.status for outcome in outcomes)
 
 
-def _bags_of(path: Path, one_of_several: bool) -> list[Path]:
-    """Return the bags that a path stands for; an empty folder must not stop the others."""
-    if not is_collection(path):
-        return [path]
-    try:
-        return find_bags(path)
-    except BagError:
-        if not one_of_several:
-            raise
-        return [path]
+def _bags_of(paths: Sequence[Path]) -> list[Path]:
+    """Return the bags that paths stand for; an empty folder must not stop the others."""
+    found = [find_bags(path) for path in paths]
+    if not any(found):
+        raise BagError(
+            f"folder '{paths[0]}' has no bags: neither rosbag2 folders nor "
+            f"{' or '.join(STORAGE_SUFFIXES)} files"
+        )
+    return [bag for path, bags in zip(paths, found, strict=True) for bag in bags or [path]]
 
 
 def _compare(options: argparse.Namespace) -> int:

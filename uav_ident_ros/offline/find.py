@@ -33,29 +33,13 @@ def is_collection(path: Path) -> bool:
 
 
 def find_bags(path: Path) -> list[Path]:
-    """Return the bags in a folder of them, at any depth, in the order of their names.
-
-    Raises
-    ------
-    BagError
-        If there is none.
-    """
-    found = _found_in(path)
-    if not found:
-        raise BagError(
-            f"folder '{path}' has no bags: neither rosbag2 folders nor "
-            f"{' or '.join(STORAGE_SUFFIXES)} files"
-        )
-    return found
+    """Return the bags that a path stands for: in a folder at any depth, in the order of names."""
+    return sorted([*storage_files(path), *_below(path)]) if is_collection(path) else [path]
 
 
 def storage_files(folder: Path) -> list[Path]:
     """Return the files of a folder that hold messages."""
     return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix in STORAGE_SUFFIXES)
-
-
-def _found_in(folder: Path) -> list[Path]:
-    return sorted([*storage_files(folder), *_below(folder)]) if is_collection(folder) else [folder]
 
 
 def _below(folder: Path) -> list[Path]:
@@ -67,7 +51,7 @@ def _below(folder: Path) -> list[Path]:
         and not entry.name.startswith(".")
         and not (entry.name == RESULT_BAG and (folder / RESULT_FILE).exists())
     ]
-    return [bag for entry in folders for bag in _found_in(entry)]
+    return [bag for entry in folders for bag in find_bags(entry)]
 
 
 def names_of(bags: Sequence[Path]) -> list[str]:
