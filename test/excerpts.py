@@ -2,7 +2,7 @@
 """Parts of the committed bags, changed on the way, and replays of them."""
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,10 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from repository import ROOT
 
-from uav_ident_ros.bags.reading import Bag, Message
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.bags.writing import BagWriter, jazzy_types
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.offline import main
-from uav_ident_ros.offline.run import OfflineRun, run_over
 
 BAGS = ROOT / "bags"
 IMU, ACTUATORS = "/imu/data", "/actuators"
@@ -86,15 +85,6 @@ def replay(bag: Path, output: Path, *more: str, by: str | Path = "multisine") ->
     """Run `replay` with the parameters beside a committed bag, or those of a file; its status."""
     file = BAGS / by / "identifier.yaml" if isinstance(by, str) else by
     return main([str(bag), "--params-file", str(file), "--output", str(output), *more])
-
-
-def replayed_run(
-    bag: Path,
-    values: dict[str, Any],
-    wrap: Callable[[Iterable[Message]], Iterable[Message]] = lambda messages: messages,
-) -> OfflineRun:
-    """The run of the identifier over a bag."""
-    return run_over(bag, values, wrap=lambda messages, _: wrap(messages))
 
 
 def summary(folder: Path) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 """Advice: every piece is given when its threshold is passed, and not given when it is not."""
 
 import re
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from estimates import estimate_of
-from excerpts import ACTUATORS, BAGS, SECOND_NS, START_NS, Entry, excerpt, parameters, replayed_run
+from excerpts import ACTUATORS, SECOND_NS, START_NS, Entry, excerpt, parameters
 
-from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.files.meanings import AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayEstimate
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
@@ -35,7 +33,7 @@ from uav_ident_ros.offline.advice import (
     advise,
 )
 from uav_ident_ros.offline.evidence import Evidence, gyro_noise, lost_to, measure
-from uav_ident_ros.offline.run import Refusals
+from uav_ident_ros.offline.run import Refusals, run_over
 
 AUGMENTED = STRUCTURES["augmented"]
 JUST_ABOVE, JUST_BELOW = 1.01, 0.99
@@ -311,19 +309,14 @@ def test_gyro_noise_is_separated_from_motion() -> None:
     assert not gyro_noise(rates[:3]).any()
 
 
-def evidence_of(name: str, changes: dict[str, Any], seconds: float) -> Evidence:
+def evidence_of(bag: Path, name: str, changes: dict[str, Any], seconds: float) -> Evidence:
     """What is measured on the beginning of an example bag with changed parameters."""
-
-    def first(messages: Iterable[Message]) -> Iterator[Message]:
-        start, *rest = messages
-        yield from (m for m in (start, *rest) if m.log_ns < start.log_ns + round(seconds * 1e9))
-
-    run = replayed_run(BAGS / name, parameters(name) | changes, first)
+    run = run_over(excerpt(bag, seconds, name), parameters(name) | changes)
     return measure(run, run.score())
 
 
-def test_what_is_measured_on_a_flight_of_known_truth() -> None:
-    e = evidence_of("multisine", {}, seconds=62.0)
+def test_what_is_measured_on_a_flight_of_known_truth(tmp_path: Path) -> None:
+    e = evidence_of(tmp_path / "bag", "multisine", {}, seconds=62.0)
     assert e.duration == pytest.approx(62.0, abs=0.1)
     assert e.imu_rate == pytest.approx(200.0)
     assert e.actuator_rate == pytest.approx(50.0)
@@ -347,7 +340,7 @@ def test_a_flight_with_a_gap_is_measured_whole(tmp_path: Path) -> None:
                 message.position = message.position * still
         return [(topic, log_ns, message)]
 
-    run = replayed_run(excerpt(tmp_path / "bag", 16.0, "multisine", later), parameters())
+    run = run_over(excerpt(tmp_path / "bag", 16.0, "multisine", later), parameters())
     e = measure(run, run.score())
     assert e.duration == pytest.approx(16.0, abs=0.1)
     assert e.input_spread[INPUTS.index("dr")] > 0.02
@@ -355,13 +348,13 @@ def test_a_flight_with_a_gap_is_measured_whole(tmp_path: Path) -> None:
     assert e.imu_rate == pytest.approx(200.0)
 
 
-def test_a_delay_too_long_and_a_missing_regressor_are_found() -> None:
-    e = evidence_of("multisine", {"actuators.delay": 0.08}, seconds=30.0)
+def test_a_delay_too_long_and_a_missing_regressor_are_found(tmp_path: Path) -> None:
+    e = evidence_of(tmp_path / "late", "multisine", {"actuators.delay": 0.08}, seconds=30.0)
     assert e.delay_in_use - e.delay.delay == pytest.approx(0.08, abs=0.01)
     assert "wrong_delay" in {advice.name for advice in advise(e)}
 
-    e = evidence_of("c172p", {"structure": "baseline"}, seconds=15.0)
+    e = evidence_of(tmp_path / "c172p", "c172p", {"structure": "baseline"}, seconds=15.0)
     assert set(e.force_share) == {"pdot", "qdot", "rdot"}
     assert min(e.force_share.values()) > 0.5
-    plant = evidence_of("multisine", {"structure": "baseline"}, seconds=15.0)
+    plant = evidence_of(tmp_path / "plant", "multisine", {"structure": "baseline"}, seconds=15.0)
     assert max(plant.force_share.values()) < 0.05

@@ -23,7 +23,6 @@ from excerpts import (
     parameter_file,
     parameters,
     replay,
-    replayed_run,
     summary,
 )
 from programs import Capture, python, refusal
@@ -41,6 +40,7 @@ from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
 from uav_ident_ros.offline.inputs import choose_inputs
+from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.offline.tables import write_table
 from uav_ident_ros.offline.ticks import write_estimates
 
@@ -343,7 +343,7 @@ def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
         return [(topic, log_ns, message)]
 
     path = excerpt(tmp_path / "bag", 28.0, "multisine", jumping)
-    run = replayed_run(path, parameters())
+    run = run_over(path, parameters())
     assert run.era == 1
     fit = run.score()["after_30_s"]
     # everything after the jump is late enough: 14 s of ticks less the last window
@@ -355,7 +355,7 @@ def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
 def test_the_score_in_pieces_is_that_of_the_whole(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = replayed_run(excerpt(tmp_path / "bag", 7.0, name), parameters(name))
+    run = run_over(excerpt(tmp_path / "bag", 7.0, name), parameters(name))
     index = run.structure.free[-1]
     assert run.estimates.history(index)[1].tolist() == [e.sigma[index] for e in run.estimates]
     whole = run.score()
@@ -480,7 +480,7 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(early, SECOND_NS)
 
     bag = excerpt(tmp_path / "bag", 45.0, "multisine", delayed)
-    run = replayed_run(bag, parameters(actuators__estimate_delay=True))
+    run = run_over(bag, parameters(actuators__estimate_delay=True))
     assert run.identifier.delay == pytest.approx(0.06, abs=0.015)
     fit = run.score()["last_40_percent"]
     assert (fit.model > 80.0).all()
@@ -493,9 +493,7 @@ def test_a_message_of_unknown_names_is_no_excitation(tmp_path: Path) -> None:
         word = writing.joint_state(header_ns(message), ["flap"], [0.1])
         return [(topic, log_ns, message), ("/excitation", log_ns, word)]
 
-    refusals = replayed_run(excerpt(tmp_path / "bag", 0.5, change=change), {}).refusals(
-        "excitation"
-    )
+    refusals = run_over(excerpt(tmp_path / "bag", 0.5, change=change), {}).refusals("excitation")
     assert refusals.dropped == {"wrong channels": refusals.received} and refusals.received > 50
 
 

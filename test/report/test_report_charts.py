@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
-from excerpts import SECOND_NS, START_NS, excerpt, parameters, replayed_run
+from excerpts import SECOND_NS, START_NS, excerpt, parameters
 
 from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
-from uav_ident_ros.offline.run import OfflineRun
+from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.report.charts import (
     GRAVEST,
     coefficient_charts,
@@ -34,7 +34,7 @@ from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> OfflineRun:
-    return replayed_run(excerpt(tmp_path_factory.mktemp("flight") / "bag", 40.0), parameters())
+    return run_over(excerpt(tmp_path_factory.mktemp("flight") / "bag", 40.0), parameters())
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +174,7 @@ def test_two_time_bases_are_shown_one_after_the_other(tmp_path: Path) -> None:
         message.header.stamp.sec += 86_400 * (log_ns > START_NS + 6 * SECOND_NS)
 
     bag = excerpt(tmp_path / "bag", 12.0, change=later)
-    two = Flight("two", replayed_run(bag, parameters()))
+    two = Flight("two", run_over(bag, parameters()))
     assert two.restarts == pytest.approx([7.0], abs=0.1)  # after a pause of a second
     chart = state_chart(two, Timeline(two.span, two.restarts), [])
     low, high = chart.model.x_range.bounds

@@ -153,7 +153,7 @@ class OfflineRun:
         # time base, delay and lag of each estimate
         self._contexts: list[tuple[int, float, float]] = []
 
-    def run(self, bag: Bag, wrap: Wrap) -> None:
+    def run(self, bag: Bag, wrap: Wrap = lambda messages, _: messages) -> None:
         """Feed every message of the topics, in log-time order.
 
         Raises
@@ -312,11 +312,10 @@ def run_over(
     path: Path,  # The bag
     values: Mapping[str, Any],  # Parameters by name
     initial: CoefficientSet | None = None,  # Coefficients to start from
-    wrap: Wrap = lambda messages, _: messages,  # As in `OfflineRun.run`
     **parts: Any,  # Parts of one's own, as in `OfflineRun`
 ) -> OfflineRun:
     """Return the finished run of the identifier over a bag."""
     with Bag(path) as bag:
         run = OfflineRun(choose_inputs(bag, values), initial, **parts)
-        run.run(bag, wrap)
+        run.run(bag)
     return run
