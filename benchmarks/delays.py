@@ -17,31 +17,28 @@ With ``--sweep`` recorded flights: the free fits over 1 s with fixed delays, and
 estimated.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import bench
 import cases
 import numpy as np
-import verdict_flights
-from light_aircraft import LightFlight
+from verdict_flights import UNTOLD, fly
 
 from uav_ident_ros.identification.delay import SURE_SIGMA, DelayBank, DelayEstimate
 from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.sampling import Block, FlowSignals
-from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.simulation import jsbsim_flight
-from uav_ident_ros.simulation.airframe import airframe
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
-from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight, vehicle
-from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
+from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, Body, QuadrotorFlight
 
 DURATION = 90.0
 NOISY = Sensors(gyro_noise=0.02, accelerometer_noise=0.1, stamped=True)
@@ -63,15 +60,16 @@ SWEEP = (0.0, 0.04, 0.08, 0.1, 0.12, 0.16)
 """Fixed delays of the sweep over recorded flights, s."""
 
 
-class Result(NamedTuple):
-    """What came of one flight."""
+Fly = Callable[[], Measurements]
+
+
+class Trial(NamedTuple):
+    """A flight of which delay and lag are to be found."""
 
     name: str
-    excited: bool
-    true: float  # Delay and lag, s
-    lag: float  # Lag alone, s
-    estimate: DelayEstimate
-    worst: float  # Largest error of a sure estimate in its sigmas, any time
+    fly: Fly
+    excited: bool = True
+    told: bool = False  # Whether it says what is injected
 
 
 def plant(
@@ -95,166 +93,143 @@ def plant(
     return measure(flight.fly(), NOISY, seed)
 
 
-def light(seed: int, delay: float, lag: float, gusts: float, **more: Any) -> Measurements:
-    """Fly the light aircraft on its autopilot, which turns."""
-    flown: dict[str, Any] = {"excitation": ((2.0, DURATION),), "duration": DURATION, "bank": 20.0}
-    return verdict_flights._fly(
-        "light_aircraft", seed, wind=gusts, delay=delay, time_constant=lag, **(flown | more)
-    )
-
-
-def quadrotor(seed: int, delay: float, gusts: float) -> Measurements:
-    """Let the quadrotor hover."""
-    segments = (Segment("multisine", 2.0, DURATION, AMPLITUDES, band=(0.2, 4.0), seed=seed),)
+def quadrotor(
+    seed: int,
+    delay: float,
+    gusts: float,
+    lag: float = Body.time_constant,
+    excited: float = 1e3,
+    duration: float = DURATION,
+    surfaces: Sequence[str] = INPUTS,
+    period: float = 20.0,
+) -> Measurements:
+    """Let the quadrotor hover, excited from 2 s on for so long."""
+    peaks = {name: AMPLITUDES[name] for name in surfaces}
+    segment = Segment("multisine", 2.0, excited, peaks, period, (0.2, 4.0), seed=seed)
     flight = QuadrotorFlight(
-        segments, DURATION, 500.0, delay=delay, gusts=ColouredNoise(gusts, 0.3), seed=seed
-    )
+        (segment,), duration, 500.0, delay=delay, time_constant=lag,
+        gusts=ColouredNoise(gusts, 0.3), seed=seed,
+    )  # fmt: skip
     return measure(flight.fly(), replace(NOISY, rate=100.0), seed)
 
 
-def trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
-    """Yield name, whether it is excited and what flies it."""
+def _aircraft(name: str, seed: int, delay: float, lag: float, wind: float, **more: Any) -> Fly:
+    """Return what flies an aircraft on its autopilot, which turns."""
+    return partial(fly, name, seed, bank=20.0, wind=wind, delay=delay, time_constant=lag, **more)
+
+
+def _late(delay: float, lag: float) -> str:
+    return f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms"
+
+
+def trials(seed: int) -> Iterator[Trial]:
+    """Yield flights in the open and the closed loop, and some on which nobody excites."""
+    light = partial(_aircraft, "light_aircraft", seed, duration=DURATION)
+    flight: Fly
     for delay, lag in LATE:
-        name = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms"
         for gusts in (0.0, 0.5, 1.0):
-            yield (f"light, {name}, wind {gusts:g} m/s", True,
-                   partial(light, seed, delay, lag, gusts))  # fmt: skip
+            flight = light(delay, lag, gusts, excitation=((2.0, DURATION),))
+            yield Trial(f"light, {_late(delay, lag)}, wind {gusts:g} m/s", flight)
         for gusts in (0.3, 1.0):
             closed = gusts > 0.5 or lag > 0.0
-            yield (f"plant, {name}, gusts {gusts:g} rad/s^2", True,
-                   partial(plant, seed, delay, lag, gusts, closed))  # fmt: skip
-    for turbulence in (0, 3, 5):
-        for delay in (0.0, 0.06, 0.15):
-            yield (f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}", True,
-                   partial(verdict_flights._fly, "c172p", seed, excitation=((2.0, 1e3),),
-                           duration=DURATION, wind=turbulence, delay=delay, bank=20.0))  # fmt: skip
-    for gusts in (0.0, 0.1, 0.3, 1.0):
-        for delay in (0.012, 0.06):
-            yield (f"quadrotor, {1e3 * delay:.0f} + 50 ms, gusts {gusts:g} rad/s^2", True,
-                   partial(quadrotor, seed, delay, gusts))  # fmt: skip
+            flight = partial(plant, seed, delay, lag, gusts, closed)
+            yield Trial(f"plant, {_late(delay, lag)}, gusts {gusts:g} rad/s^2", flight)
+    for turbulence, delay in product((0, 3, 5), (0.0, 0.06, 0.15)):
+        flight = _aircraft("c172p", seed, delay, 0.0, turbulence, duration=DURATION)
+        yield Trial(f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}", flight)
+    for gusts, delay in product((0.0, 0.1, 0.3, 1.0), (0.012, 0.06)):
+        flight = partial(quadrotor, seed, delay, gusts)
+        yield Trial(f"quadrotor, {_late(delay, 0.05)}, gusts {gusts:g} rad/s^2", flight)
+    stiff: dict[str, float] = {"roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
     for gusts in (0.3, 1.0):
-        yield (f"plant, feedback, gusts {gusts:g}", False,
-               partial(plant, seed, 0.06, 0.0, gusts, True, ()))  # fmt: skip
-        yield (f"light, feedback, wind {gusts:g}", False,
-               partial(light, seed, 0.05, 0.0, gusts, excitation=()))  # fmt: skip
-        yield (f"light, stiff feedback, wind {gusts:g}", False,
-               partial(light, seed, 0.05, 0.0, gusts, excitation=(), roll_gust=0.5, roll_gain=0.8,
-                       yaw_damper=0.3))  # fmt: skip
+        flight = partial(plant, seed, 0.06, 0.0, gusts, True, ())
+        yield Trial(f"plant, feedback, gusts {gusts:g}", flight, excited=False)
+        for words, more in (("feedback", {}), ("stiff feedback", stiff)):
+            flight = light(0.05, 0.0, gusts, excitation=(), **more)
+            yield Trial(f"light, {words}, wind {gusts:g}", flight, excited=False)
 
 
-def told(kind: str, seed: int, delay: float, lag: float, gusts: float) -> Measurements:
-    """Fly one that is excited while an autopilot answers the gusts."""
-    peaks, band = verdict_flights.PEAKS, (0.2, 2.0)
-    if kind == "quadrotor":
-        peaks, band = AMPLITUDES, (0.2, 4.0)
-    elif kind == "c172p":
-        peaks = dict(airframe(kind).excitation)
-    peaks = {name: peak for name, peak in peaks.items() if name != "dth"}
-    segments = (Segment("multisine", 2.0, EXCITED, peaks, 2.0 / band[0], band, seed=seed),)
-    common: dict[str, Any] = {"delay": delay, "seed": seed}
-    plan: Plan
-    if kind == "quadrotor":
-        air = ColouredNoise(gusts, 0.3)
-        plan = QuadrotorFlight(
-            segments, EXCITED + 2.0, 500.0, time_constant=lag, gusts=air, **common
-        )
-        sensors = replace(NOISY, rate=100.0)
-    elif kind == "light":
-        plan = LightFlight(
-            segments, EXCITED + 2.0, bank=20.0, gust=gusts, time_constant=lag, **common
-        )
-        sensors = verdict_flights.SENSORS
-    else:
-        plan = jsbsim_flight.AircraftFlight(
-            segments, EXCITED + 2.0, 200.0, 50.0, aircraft=kind, bank=20.0, turbulence=int(gusts),
-            **common,
-        )  # fmt: skip
-        sensors = verdict_flights.SENSORS
-    with verdict_flights.lagging(lag):
-        flight = replace(plan.fly(), time_constant=lag)
-    return measure(flight, sensors, seed)
-
-
-def told_trials(seed: int) -> Iterator[tuple[str, bool, Any]]:
-    """Yield name, whether it is excited and what flies it, of flights that say what is injected."""
+def told_trials(seed: int) -> Iterator[Trial]:
+    """Yield flights under autopilots that say what is injected."""
+    surfaces, end = ("de", "dr", "da"), EXCITED + 2.0
+    flight: Fly
     for gusts, lag in product((0.0, 0.1, 0.2, 0.5, 1.0), (0.03, 0.05, 0.08)):
-        name = f"quadrotor, 12 + {1e3 * lag:.0f} ms, gusts {gusts:g} rad/s^2"
-        yield name, True, partial(told, "quadrotor", seed, 0.012, lag, gusts)
+        name = f"quadrotor, {_late(0.012, lag)}, gusts {gusts:g} rad/s^2"
+        flight = partial(quadrotor, seed, 0.012, gusts, lag, EXCITED, end, surfaces, 10.0)
+        yield Trial(name, flight, told=True)
     for kind, airs in (("light", (0.0, 0.5, 1.0)), ("c172p", (0, 2, 4))):
+        aircraft = "light_aircraft" if kind == "light" else kind
         for air, delay, lag in product(airs, (0.0, 0.06, 0.1), (0.0, 0.06, 0.12)):
-            name = f"{kind}, {1e3 * delay:.0f} + {1e3 * lag:.0f} ms, wind {air:g}"
-            yield name, True, partial(told, kind, seed, delay, lag, air)
+            flight = _aircraft(
+                aircraft, seed, delay, lag, air, excitation=((2.0, end),), duration=end,
+                surfaces=surfaces, band=(0.2, 2.0),
+            )  # fmt: skip
+            yield Trial(f"{kind}, {_late(delay, lag)}, wind {air:g}", flight, told=True)
 
 
-def quiet_trials(seed: int) -> Iterator[tuple[str, Any]]:
-    """Yield name and what flies it, of flights with a long quiet part."""
+def quiet_trials(seed: int) -> Iterator[Trial]:
+    """Yield flights with a long quiet part."""
     spans: dict[str, Any] = {
         "excitation": ((2.0, EXCITED), (QUIET_UNTIL, LONG)), "duration": LONG,
     }  # fmt: skip
+    flight: Fly
     for (delay, lag), gusts in product(((0.0, 0.0), (0.06, 0.0), (0.08, 0.06)), (0.3, 1.0)):
-        name = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms"
-        yield (f"plant, {name}, gusts {gusts:g} rad/s^2",
-               partial(plant, seed, delay, lag, gusts, True, **spans))  # fmt: skip
-        yield (f"light, {name}, wind {gusts:g} m/s",
-               partial(light, seed, delay, lag, gusts, **spans))  # fmt: skip
+        flight = partial(plant, seed, delay, lag, gusts, True, **spans)
+        yield Trial(f"plant, {_late(delay, lag)}, gusts {gusts:g} rad/s^2", flight)
+        flight = _aircraft("light_aircraft", seed, delay, lag, gusts, **spans)
+        yield Trial(f"light, {_late(delay, lag)}, wind {gusts:g} m/s", flight)
     for turbulence, delay in product((2, 4), (0.0, 0.06)):
-        yield (f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}",
-               partial(verdict_flights._fly, "c172p", seed, wind=turbulence, delay=delay,
-                       bank=20.0, **spans))  # fmt: skip
+        flight = _aircraft("c172p", seed, delay, 0.0, turbulence, **spans)
+        yield Trial(f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}", flight)
 
 
-class Held(NamedTuple):
-    """Delay in use over one flight with a long quiet part, s."""
+class Result(NamedTuple):
+    """What came of one flight."""
 
-    name: str
-    true: float  # Delay and lag
-    first: float  # When the quiet begins
-    moved: float  # How far it went from there at most
-    end: float
+    trial: Trial
+    true: float  # Delay and lag, s
+    lag: float  # Lag alone, s
+    estimate: DelayEstimate
+    worst: float  # Largest error of a sure estimate in its sigmas, any time
 
 
-def held(trial: tuple[str, Any]) -> Held:
-    """Fly one as the node would, told neither delay nor lag."""
-    name, fly_it = trial
-    m = fly_it()
-    case = cases.measured(m, name, None)
-    structure = "augmented" if name.startswith("plant") else "flight_dynamics"
-    track = cases.identify(case, verdict_flights.UNTOLD | {"structure": structure})
+def held(trial: Trial) -> tuple[float, str]:
+    """Fly one as the node would, told neither delay nor lag.
+
+    Returns how far the delay in use moves after the quiet begins, s, and a line on it.
+    """
+    m = trial.fly()
+    case = cases.measured(m, trial.name, None)
+    structure = "augmented" if trial.name.startswith("plant") else "flight_dynamics"
+    track = cases.identify(case, UNTOLD | {"structure": structure})
     # Half a block later all that was excited is judged.
-    begun = track.at(EXCITED + 0.5 * HORIZONS[-1])
-    after = track.delay[begun:]
+    after = track.delay[track.at(EXCITED + 0.5 * HORIZONS[-1]) :]
     moved = float(np.abs(after - after[0]).max())
     true = m.flight.delay + m.flight.time_constant
-    return Held(name, true, float(after[0]), moved, float(after[-1]))
-
-
-def held_line(h: Held) -> str:
-    """One flight in a line."""
-    return (
-        f"{h.name:<36} true {1e3 * h.true:4.0f}  when the quiet begins {1e3 * h.first:4.0f}, "
-        f"moved by {1e3 * h.moved:3.0f}, at the end {1e3 * h.end:4.0f} ms"
+    return moved, (
+        f"{trial.name:<36} true {1e3 * true:4.0f}  when the quiet begins {1e3 * after[0]:4.0f}, "
+        f"moved by {1e3 * moved:3.0f}, at the end {1e3 * after[-1]:4.0f} ms"
     )
 
 
-def judged(trial: tuple[str, bool, Any], is_told: bool) -> Result:
+def judged(trial: Trial) -> Result:
     """Fly one, and let the bank see it as the identifier's sampler cuts it."""
-    name, excited, fly_it = trial
-    m = fly_it()
-    given = m.flight.injected if is_told else None
+    m = trial.fly()
+    given = m.flight.injected if trial.told else None
     true = m.flight.delay + m.flight.time_constant
     structure = STRUCTURES["flight_dynamics"]
     speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
-    unset = verdict_flights.UNTOLD | {"airspeed.reference": speed}
-    case = cases.measured(m, name, None)
+    case = cases.measured(m, trial.name, None)
+    settings = case.settings(UNTOLD | {"airspeed.reference": speed})
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0
-    for block in case.blocks(case.settings(unset), given):
+    for block in case.blocks(settings, given):
         block.flow = observer.follow(block, first_values(structure), None)
         for k in range(0, len(block.u), PIECE):
-            if bank.add(cut(block, k, name), 0.0) and bank.estimate.total_sure:
+            if bank.add(cut(block, k, trial.name), 0.0) and bank.estimate.total_sure:
                 off = abs(bank.estimate.total - true) / bank.estimate.total_sigma
                 worst = max(worst, off)
-    return Result(name, excited, true, m.flight.time_constant, bank.estimate, worst)
+    return Result(trial, true, m.flight.time_constant, bank.estimate, worst)
 
 
 def cut(block: Block, k: int, name: str) -> Block:
@@ -277,7 +252,7 @@ def line(r: Result) -> str:
     lag = f"  lag {1e3 * r.lag:3.0f}: {1e3 * e.lag:3.0f} +- {1e3 * e.lag_sigma:2.0f}"
     lag = lag if e.lag_sure else ""
     return (
-        f"{r.name:<36} true {1e3 * r.true:4.0f}  found {1e3 * e.total:4.0f} +- "
+        f"{r.trial.name:<36} true {1e3 * r.true:4.0f}  found {1e3 * e.total:4.0f} +- "
         f"{1e3 * e.total_sigma:3.0f} ms  {word:<10} worst {r.worst:.1f} sigma{lag}"
     )
 
@@ -285,7 +260,7 @@ def line(r: Result) -> str:
 def summary(results: Sequence[Result]) -> Iterator[str]:
     """Yield the figures of record."""
     for excited in (True, False):
-        of = [r for r in results if r.excited == excited]
+        of = [r for r in results if r.trial.excited == excited]
         sure = [r for r in of if r.estimate.total_sure]
         off = [1e3 * abs(r.estimate.total - r.true) for r in sure]
         wrong = sum(r.worst > 3.0 for r in of)
@@ -333,16 +308,14 @@ def main() -> None:
         flights = filter(cases.is_recorded, cases.RECORDED_DELAY)
         bench.done(sweep, flights, options.workers)
         return
-    if options.quiet:
-        quiet = [trial for seed in range(1, options.seeds + 1) for trial in quiet_trials(seed)]
-        flown = bench.done(held, quiet, options.workers, held_line)
-        moved = sum(h.moved > SURE_SIGMA for h in flown)
-        print(f"moved by more than {1e3 * SURE_SIGMA:g} ms: {moved} of {len(flown)}")
-        return
-    chosen = told_trials if options.told else trials
+    chosen = quiet_trials if options.quiet else told_trials if options.told else trials
     todo = [trial for seed in range(1, options.seeds + 1) for trial in chosen(seed)]
-    look = partial(judged, is_told=options.told)
-    print(*summary(bench.done(look, todo, options.workers, line)), sep="\n")
+    if options.quiet:
+        flown = bench.done(held, todo, options.workers, itemgetter(1))
+        beyond = sum(moved > SURE_SIGMA for moved, _ in flown)
+        print(f"moved by more than {1e3 * SURE_SIGMA:g} ms: {beyond} of {len(flown)}")
+        return
+    print(*summary(bench.done(judged, todo, options.workers, line)), sep="\n")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights that try whether "usable" means usable, class by class, and the truth about each."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import cases
 import numpy as np
@@ -19,7 +17,6 @@ from numpy.typing import ArrayLike
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, ROWS, FloatArray, Structure
-from uav_ident_ros.simulation import jsbsim_flight
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
@@ -125,60 +122,44 @@ def warm_start(
     return CoefficientSet(structure.name, values, sigma)
 
 
-class _LaggedAircraft(jsbsim_flight.LiveAircraft):
-    """One whose surfaces follow with a first-order lag; its throttle does not."""
-
-    lag = 0.0
-    _at: FloatArray | None = None
-
-    def _fly(self, acting: FloatArray, moved: bool) -> tuple[float, ...]:
-        if self.lag > 0.0:
-            before = acting if self._at is None else self._at
-            keep = np.exp(-1.0 / (self.rate * self.lag)) * np.array([1.0, 1.0, 1.0, 0.0])
-            acting = self._at = acting + keep * (before - acting)
-        return super()._fly(acting, moved or self.lag > 0.0)
+Spoil = Callable[[Measurements], Measurements]
 
 
-@contextmanager
-def lagging(lag: float) -> Iterator[None]:
-    """Let the surfaces of JSBSim's aircraft lag, s."""
-    _LaggedAircraft.lag = lag
-    with patch.object(jsbsim_flight, "LiveAircraft", _LaggedAircraft):
-        yield
+def _as_it_is(measured: Measurements) -> Measurements:
+    return measured
 
 
-def _fly(
+def fly(
     aircraft: str,
     seed: int,
     *,
-    excitation: Sequence[tuple[float, float]] = (),
+    excitation: Sequence[tuple[float, float]] = ((2.0, 1e3),),  # All the time by default
     inputs: str = "multisine",
-    surfaces: Sequence[str] = (),
+    band: tuple[float, float] = (0.1, 2.0),  # Of the multisines, Hz
+    surfaces: Sequence[str] = INPUTS,  # Those that are excited
     scale: float = 1.0,
     duration: float = 120.0,
     bank: float = 0.0,
-    wind: float = 0.0,
+    wind: float = 0.0,  # m/s rms, of JSBSim aircraft the severity 0 to 7
     changes: tuple[CoefficientChange, ...] = (),
     delay: float = DELAY,
     time_constant: float = 0.0,
     sensors: Sensors = SENSORS,
-    spoil: Callable[[Measurements], Measurements] | None = None,
+    spoil: Spoil = _as_it_is,
     **light: Any,
 ) -> Measurements:
-    """Fly one and measure it; `wind` in m/s rms, of JSBSim aircraft the severity 0 to 7.
-
-    Excited are the `surfaces` named, all if none is.
-    """
+    """Fly the light aircraft, or one of JSBSim, on its autopilot, and measure it."""
     own = PEAKS if aircraft == "light_aircraft" else airframe(aircraft).excitation
-    peaks = {n: scale * peak for n, peak in own.items() if not surfaces or n in surfaces}
+    peaks = {name: scale * peak for name, peak in own.items() if name in surfaces}
     segments = [
-        Segment(inputs, start, until - start, peaks, seed=seed) for start, until in excitation
+        Segment(inputs, start, until - start, peaks, 2.0 / band[0], band, seed=seed)
+        for start, until in excitation
     ]
+    common: dict[str, Any] = {
+        "bank": bank, "delay": delay, "time_constant": time_constant, "seed": seed
+    }  # fmt: skip
     if aircraft == "light_aircraft":
-        plan: Plan = LightFlight(
-            segments, duration, bank=bank, gust=wind, changes=changes, delay=delay, seed=seed,
-            time_constant=time_constant, **light,
-        )  # fmt: skip
+        plan: Plan = LightFlight(segments, duration, gust=wind, changes=changes, **common, **light)
     else:
         faults = [
             Fault("effect", SURFACE_NAMES[INPUTS.index(name)], factor, change.time)
@@ -186,28 +167,32 @@ def _fly(
             for name, factor in change.factors.items()
         ]
         plan = AircraftFlight(
-            segments, duration, 200.0, 50.0, aircraft=aircraft, bank=bank, turbulence=int(wind),
-            faults=faults, delay=delay, seed=seed,
+            segments, duration, 200.0, 50.0, aircraft=aircraft, turbulence=int(wind),
+            faults=faults, **common,
         )  # fmt: skip
-    with lagging(time_constant):
-        flight = replace(plan.fly(), changes=changes, time_constant=time_constant)
-    measured = measure(flight, sensors, seed)
-    return measured if spoil is None else spoil(measured)
+    return spoil(measure(replace(plan.fly(), changes=changes), sensors, seed))
 
 
-def _trial(
-    kind: str, seed: int, aircraft: str, words: str, fields: Mapping[str, Any], **flight: Any
-) -> Trial:
-    """Return a trial of an aircraft; `fields` are fields of `Trial`, the others those of `_fly`."""
-    fly = partial(_fly, aircraft, seed, **flight)
-    return Trial(kind, f"{Path(aircraft).stem}, {words}", seed, fly, **fields)
+@dataclass(frozen=True)
+class Series:
+    """The trials of one class with one seed."""
+
+    kind: str
+    seed: int
+    length: float  # Of the flights, relative
+
+    def trial(self, aircraft: str, words: str, duration: float = 110.0, **values: Any) -> Trial:
+        """Return one: `values` are fields of `Trial`, the others those of `fly`."""
+        own = {name: values.pop(name) for name in TOLD if name in values}
+        flight = partial(fly, aircraft, self.seed, duration=self.length * duration, **values)
+        return Trial(self.kind, f"{Path(aircraft).stem}, {words}", self.seed, flight, **own)
 
 
-ALWAYS = {"excitation": ((2.0, 1e3),)}
-"""Excited from the start to the end."""
+TOLD = ("settings", "warm", "feedback", "replayed", "names")
+"""Fields of `Trial` that not every one sets."""
 
 
-def _feedback(seed: int, length: float) -> Iterator[Trial]:
+def _feedback(series: Series) -> Iterator[Trial]:
     """Bank commands, yaw damper and gusts; nobody excites."""
     for aircraft, bank, wind, more in (
         ("light_aircraft", 30.0, 0.3, {}),
@@ -222,38 +207,37 @@ def _feedback(seed: int, length: float) -> Iterator[Trial]:
         ("ultra_stick_25e", 20.0, 2, {}),
     ):
         words = f"wind {wind:g}" + "".join(f", {k} {v:g}" for k, v in more.items())
-        fields = {"feedback": True, "replayed": aircraft == "c172p"}
-        flight = {"bank": bank, "wind": wind, "duration": length * 150.0, **more}
-        yield _trial("feedback", seed, aircraft, words, fields, **flight)
+        yield series.trial(
+            aircraft, words, 150.0, excitation=(), bank=bank, wind=wind, feedback=True,
+            replayed=aircraft == "c172p", **more,
+        )  # fmt: skip
 
 
-def _old_knowledge(seed: int, length: float) -> Iterator[Trial]:
+def _old_knowledge(series: Series) -> Iterator[Trial]:
     """Excited, then bank commands alone: a surface fails, or was reversed on the ground."""
     for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 3)):
-        flight = {"bank": 20.0, "wind": wind, "duration": length * 150.0}
         for surface, factor in (("dr", -1.0), ("dr", 0.0), ("dr", 0.33), ("de", 0.33),
                                 ("da", 0.33)):  # fmt: skip
-            words = f"{surface} x {factor:g} after the excitation"
-            failure = {"changes": (CoefficientChange(CHANGED, {surface: factor}),)}
-            excited = {"excitation": ((2.0, EXCITED),)}
-            yield _trial("old_knowledge", seed, aircraft, words, {}, **flight, **excited, **failure)
-        words, fields = (
-            "warm start, rudder reversed on the ground",
-            {"warm": 1.0, "feedback": True},
-        )
-        reversed_ = (CoefficientChange(0.0, {"dr": -1.0}),)
-        yield _trial("old_knowledge", seed, aircraft, words, fields, **flight, changes=reversed_)
+            yield series.trial(
+                aircraft, f"{surface} x {factor:g} after the excitation", 150.0, bank=20.0,
+                wind=wind, changes=(CoefficientChange(CHANGED, {surface: factor}),),
+                excitation=((2.0, EXCITED),),
+            )  # fmt: skip
+        yield series.trial(
+            aircraft, "warm start, rudder reversed on the ground", 150.0, bank=20.0, wind=wind,
+            changes=(CoefficientChange(0.0, {"dr": -1.0}),), excitation=(), warm=1.0,
+            feedback=True,
+        )  # fmt: skip
 
 
-def _changed(seed: int, length: float) -> Iterator[Trial]:
+def _changed(series: Series) -> Iterator[Trial]:
     """Excited all the time; a surface fails, and is to be known again."""
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 2), ("T37", 0),
                            ("ultra_stick_25e", 1)):  # fmt: skip
         for surface, factor in (("dr", -1.0), ("dr", 0.5), ("de", 0.5), ("da", 0.5)):
-            flight = {"wind": wind, "duration": length * 110.0, "scale": 0.5, **ALWAYS}
-            changes = (CoefficientChange(length * CHANGED, {surface: factor}),)
+            changes = (CoefficientChange(series.length * CHANGED, {surface: factor}),)
             words = f"{surface} x {factor:g}"
-            yield _trial("changed", seed, aircraft, words, {}, changes=changes, **flight)
+            yield series.trial(aircraft, words, wind=wind, scale=0.5, changes=changes)
 
 
 def _thinned(measured: Measurements) -> Measurements:
@@ -267,7 +251,7 @@ def _thinned(measured: Measurements) -> Measurements:
     )
 
 
-def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
+def _unmodelled(series: Series) -> Iterator[Trial]:
     """Excited, with servos or a mounting that nobody told of."""
     light, late = {"bank": 20.0, "wind": 0.5}, DELAY + 0.15
     for aircraft, words, settings, flight in (
@@ -287,32 +271,29 @@ def _unmodelled(seed: int, length: float) -> Iterator[Trial]:
               ("Imu 15 cm below the centre of gravity", {"imu.lever_arm": [0.0, 0.0, 0.0]},
                {"sensors": replace(SENSORS, lever_arm=(0.0, 0.0, 0.15))}))),
     ):  # fmt: skip
-        flown: dict[str, Any] = {**flight, **ALWAYS, "duration": length * 110.0}
-        yield _trial("unmodelled", seed, aircraft, words, {"settings": settings}, **flown)
+        yield series.trial(aircraft, words, settings=settings, **flight)
 
 
-def _untold(seed: int, length: float) -> Iterator[Trial]:
+def _untold(series: Series) -> Iterator[Trial]:
     """Excited, told neither delay nor lag: the flight is to show them."""
     late = ((0.0, 0.0), (0.05, 0.0), (0.0, 0.06), (0.05, 0.12))
     for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 2), ("T37", 2), ("A4", 2),
                            ("ultra_stick_25e", 2)):  # fmt: skip
         for (delay, lag), rough in product(late, (False, True)):
-            words = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms, {'wind' if rough else 'calm'}"
-            flight = {"bank": 20.0, "wind": rough * wind, "delay": delay, "time_constant": lag}
-            fields, duration = {"settings": UNTOLD}, length * 110.0
-            yield _trial(
-                "untold", seed, aircraft, words, fields, duration=duration, **flight, **ALWAYS
-            )
+            yield series.trial(
+                aircraft,
+                f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms, {'wind' if rough else 'calm'}",
+                bank=20.0, wind=rough * wind, delay=delay, time_constant=lag, settings=UNTOLD,
+            )  # fmt: skip
 
 
-def _weak(seed: int, length: float) -> Iterator[Trial]:
+def _weak(series: Series) -> Iterator[Trial]:
     """Noisy instruments at 25 Hz, little excitation."""
     for aircraft, wind, scale in (
         ("light_aircraft", 0.5, 0.3), ("light_aircraft", 0.5, 1.0), ("c172p", 3, 0.3),
     ):  # fmt: skip
         words = f"25 Hz, excitation x {scale:g}"
-        flight = {"scale": scale, "bank": 20.0, "wind": wind, "sensors": WEAK, **ALWAYS}
-        yield _trial("weak", seed, aircraft, words, {}, duration=length * 110.0, **flight)
+        yield series.trial(aircraft, words, scale=scale, bank=20.0, wind=wind, sensors=WEAK)
 
 
 def _glitched(measured: Measurements) -> Measurements:
@@ -323,91 +304,79 @@ def _glitched(measured: Measurements) -> Measurements:
     return replace(measured, rates=rates)
 
 
-def _excited(
-    kind: str, seed: int, length: float, flights: Sequence[tuple[str, float, float]], **more: Any
-) -> Iterator[Trial]:
-    for aircraft, bank, wind in flights:
-        words, fields = f"bank {bank:g}, wind {wind:g}", {"replayed": aircraft == "OV10"}
-        flight = {"bank": bank, "wind": wind, "duration": length * 110.0, **ALWAYS, **more}
-        yield _trial(kind, seed, aircraft, words, fields, **flight)
+def _glitch(series: Series) -> Iterator[Trial]:
+    """One gyro sample of 2000 deg/s in an excited flight."""
+    for aircraft, bank, wind in (("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0)):
+        words = f"bank {bank:g}, wind {wind:g}"
+        yield series.trial(aircraft, words, bank=bank, wind=wind, spoil=_glitched)
 
 
-def _clean(seed: int, length: float) -> Iterator[Trial]:
+def _clean(series: Series) -> Iterator[Trial]:
     """Excited flights of which everything is known."""
-    flights = (
+    for aircraft, bank, wind in (
         ("light_aircraft", 0.0, 0.0), ("light_aircraft", 20.0, 0.3), ("light_aircraft", 20.0, 0.8),
         ("c172p", 0.0, 0), ("c172p", 20.0, 3), ("T37", 0.0, 0), ("OV10", 0.0, 0),
         ("ultra_stick_25e", 0.0, 0), ("ultra_stick_25e", 20.0, 2),
-    )  # fmt: skip
-    return _excited("clean", seed, length, flights)
+    ):  # fmt: skip
+        words, replayed = f"bank {bank:g}, wind {wind:g}", aircraft == "OV10"
+        yield series.trial(aircraft, words, bank=bank, wind=wind, replayed=replayed)
 
 
-def _in_turn(seed: int, length: float) -> Iterator[Trial]:
+def _in_turn(series: Series) -> Iterator[Trial]:
     """Excited by 3-2-1-1 or doublets, one surface after the other."""
-    for inputs in ("3211", "doublet"):
-        flights = (
-            ("light_aircraft", 0.0, 0.3), ("c172p", 0.0, 0), ("c172p", 20.0, 3), ("T37", 0.0, 0),
-            ("OV10", 0.0, 0), ("ultra_stick_25e", 0.0, 0),
-        )  # fmt: skip
-        for trial in _excited("in_turn", seed, length, flights, inputs=inputs):
-            yield replace(trial, name=f"{trial.name}, {inputs}")
+    for inputs, (aircraft, bank, wind) in product(("3211", "doublet"), (
+        ("light_aircraft", 0.0, 0.3), ("c172p", 0.0, 0), ("c172p", 20.0, 3), ("T37", 0.0, 0),
+        ("OV10", 0.0, 0), ("ultra_stick_25e", 0.0, 0),
+    )):  # fmt: skip
+        words, replayed = f"bank {bank:g}, wind {wind:g}, {inputs}", aircraft == "OV10"
+        yield series.trial(aircraft, words, bank=bank, wind=wind, inputs=inputs, replayed=replayed)
 
 
-def _partly(seed: int, length: float) -> Iterator[Trial]:
+def _partly(series: Series) -> Iterator[Trial]:
     """One surface is excited, the others only hold the aircraft."""
-    for aircraft, bank, wind in (
+    for (aircraft, bank, wind), surface in product((
         ("light_aircraft", 0.0, 0.0), ("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0),
         ("T37", 20.0, 2), ("A4", 0.0, 0), ("ultra_stick_25e", 20.0, 1),
-    ):  # fmt: skip
-        for surface in ("de", "dr", "da"):
-            words = f"bank {bank:g}, wind {wind:g}, {surface} alone"
-            flight = {"surfaces": (surface,), "duration": length * 110.0, **ALWAYS}
-            yield _trial("partly", seed, aircraft, words, {}, bank=bank, wind=wind, **flight)
+    ), ("de", "dr", "da")):  # fmt: skip
+        words = f"bank {bank:g}, wind {wind:g}, {surface} alone"
+        yield series.trial(aircraft, words, bank=bank, wind=wind, surfaces=(surface,))
 
 
-def _unseen(seed: int, length: float) -> Iterator[Trial]:
+def _unseen(series: Series) -> Iterator[Trial]:
     """Aircraft on which nothing was ever chosen: excited, and under an autopilot alone."""
-    for file in sorted(AIRFRAMES.glob("*.yaml")):
-        yield from _excited("unseen", seed, length, ((str(file), 0.0, 0), (str(file), 20.0, 4)))
-        fields = {"feedback": True}
-        flight = {"bank": 30.0, "wind": 4, "duration": length * 150.0}
-        yield _trial("unseen", seed, str(file), "not excited", fields, **flight)
-
-
-def _random(seed: int, length: float) -> Iterator[Trial]:
-    """Aircraft, sensors, settings, pilots and failures drawn at random."""
-    for k in range(seed * RANDOM_FLIGHTS, (seed + 1) * RANDOM_FLIGHTS):
-        drawn = random_flights.draw(k)
-        fly = partial(random_flights.fly, k)
-        yield Trial("random", drawn.words, k, fly, drawn.settings, feedback=not drawn.excited)
-
-
-def _glitch(seed: int, length: float) -> Iterator[Trial]:
-    """One gyro sample of 2000 deg/s in an excited flight."""
-    flights = (("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0))
-    return _excited("glitch", seed, length, flights, spoil=_glitched)
-
-
-def _closed_loop(seed: int, length: float) -> Iterator[Trial]:
-    """Correct coefficients from the start, every surface moved for ten seconds, then quiet."""
-    fields = {"warm": 1.0, "feedback": True}
-    for aircraft, wind, noise in (
-        ("c172p", 3, 0.01), ("c172p", 3, 0.03), ("light_aircraft", 0.3, 0.03),
-    ):  # fmt: skip
-        words, sensors = f"gyro noise {noise:g}", replace(SENSORS, gyro_noise=noise)
-        flight = {"excitation": ((2.0, 12.0),), "bank": 20.0, "wind": wind, "sensors": sensors}
-        yield _trial(
-            "closed_loop", seed, aircraft, words, fields, duration=length * 110.0, **flight
+    for file in sorted(map(str, AIRFRAMES.glob("*.yaml"))):
+        for bank, wind in ((0.0, 0), (20.0, 4)):
+            yield series.trial(file, f"bank {bank:g}, wind {wind:g}", bank=bank, wind=wind)
+        yield series.trial(
+            file, "not excited", 150.0, excitation=(), bank=30.0, wind=4, feedback=True
         )
 
 
-def _told_wrong(seed: int, length: float) -> Iterator[Trial]:
+def _random(series: Series) -> Iterator[Trial]:
+    """Aircraft, sensors, settings, pilots and failures drawn at random."""
+    for k in range(series.seed * RANDOM_FLIGHTS, (series.seed + 1) * RANDOM_FLIGHTS):
+        drawn = random_flights.draw(k)
+        flight = partial(random_flights.fly, k)
+        yield Trial("random", drawn.words, k, flight, drawn.settings, feedback=not drawn.excited)
+
+
+def _closed_loop(series: Series) -> Iterator[Trial]:
+    """Correct coefficients from the start, every surface moved for ten seconds, then quiet."""
+    for aircraft, wind, noise in (
+        ("c172p", 3, 0.01), ("c172p", 3, 0.03), ("light_aircraft", 0.3, 0.03),
+    ):  # fmt: skip
+        yield series.trial(
+            aircraft, f"gyro noise {noise:g}", excitation=((2.0, 12.0),), bank=20.0, wind=wind,
+            sensors=replace(SENSORS, gyro_noise=noise), warm=1.0, feedback=True,
+        )  # fmt: skip
+
+
+def _told_wrong(series: Series) -> Iterator[Trial]:
     """Excited, and started from the coefficients of another aircraft."""
     for factor in (0.4, 1.7):
         for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 3)):
-            words, fields = f"told x {factor:g}", {"warm": factor}
-            flight = {**ALWAYS, "bank": 20.0, "wind": wind, "duration": length * 120.0}
-            yield _trial("told_wrong", seed, aircraft, words, fields, **flight)
+            words = f"told x {factor:g}"
+            yield series.trial(aircraft, words, 120.0, bank=20.0, wind=wind, warm=factor)
 
 
 def _turned(matrix: ArrayLike, measured: Measurements) -> Measurements:
@@ -452,9 +421,8 @@ def _pulses(measured: Measurements) -> Measurements:
     return replace(measured, actuators=1500.0 + 500.0 * measured.actuators)
 
 
-Spoil = Callable[[Measurements], Measurements]
-MISTAKES: Sequence[tuple[str, Spoil | None, dict[str, Any], str]] = (
-    ("imu.convention frd for flu", None, {"imu.convention": "frd"}, "imu.convention 'flu' would"),
+MISTAKES: Sequence[tuple[str, Spoil, dict[str, Any], str]] = (
+    ("imu.convention frd for flu", _as_it_is, {"imu.convention": "frd"}, "'flu' would"),
     ("board upside down", partial(_turned, np.diag([1.0, -1.0, -1.0])), {}, "3.14, 0.00, yaw"),
     ("board pitched by 90 deg", partial(_turned, [[0, 0, -1], [0, 1, 0], [1, 0, 0]]), {}, "1.57"),
     ("gyro in deg/s", partial(_scaled, 57.3, 1.0), {}, "to rad/s"),
@@ -462,9 +430,9 @@ MISTAKES: Sequence[tuple[str, Spoil | None, dict[str, Any], str]] = (
     ("gravity taken out of the force", _weightless, {}, "taken out"),
     ("rudder and aileron swapped", _swapped, {}, "swapped"),
     ("two publishers", _two_publishers, {}, "two publishers"),
-    ("trim in degrees", None, {"actuators.trim": [2.0, -1.0, 1.5, 0.5]}, "in degrees"),
+    ("trim in degrees", _as_it_is, {"actuators.trim": [2.0, -1.0, 1.5, 0.5]}, "in degrees"),
     ("pulse widths without trim", _pulses, {"actuators.trim": []}, "microseconds"),
-    ("aileron reversed", None, {"actuators.mixing.da": [0.0, 0.0, -1.0, 0.0],
+    ("aileron reversed", _as_it_is, {"actuators.mixing.da": [0.0, 0.0, -1.0, 0.0],
      "supervision.expected_signs": ["+pdot/da", "-qdot/de", "-rdot/dr"]}, "wrong way round"),
 )  # fmt: skip
 """Mistakes in how the signals are read: what was done, to the measurements, to the settings, and
@@ -495,31 +463,26 @@ def carried(seconds: float, seed: int, measured: Measurements) -> Measurements:
     (roll, pitch, _), (p, q, r) = turned[1][:, :3].T, rates[1][:, :3].T
     answer = [0.3 * pitch + 0.05 * q, 0.1 * r, -0.3 * roll - 0.03 * p, 0.0 * p]
     channels = measured.flight.channel_trim + np.column_stack(answer)
-
-    def before(values: FloatArray, more: FloatArray) -> FloatArray:
-        return np.concatenate([values, more])
-
     imu_t_ns = measured.imu_t_ns[0] + every[0] * np.arange(len(gyro) + len(measured.rates))
-    actuators = before(channels, measured.actuators)
+    actuators = np.concatenate([channels, measured.actuators])
     actuator_t_ns = measured.actuator_t_ns[0] + every[1] * np.arange(len(actuators))
     return replace(
         measured,
-        rates=before(gyro * FRD_TO_FLU, measured.rates),
-        specific_force=before(force * FRD_TO_FLU, measured.specific_force),
+        rates=np.concatenate([gyro * FRD_TO_FLU, measured.rates]),
+        specific_force=np.concatenate([force * FRD_TO_FLU, measured.specific_force]),
         actuators=actuators,
         imu_t_ns=imu_t_ns, imu_log_ns=imu_t_ns, true_t_ns=imu_t_ns,
         actuator_t_ns=actuator_t_ns, actuator_log_ns=actuator_t_ns,
     )  # fmt: skip
 
 
-def _launched(seed: int, length: float) -> Iterator[Trial]:
+def _launched(series: Series) -> Iterator[Trial]:
     """Carried to the launch with the node running, then excited; nobody tells when it flies."""
     for aircraft, wind in (("light_aircraft", 0.3), ("ultra_stick_25e", 1)):
         for seconds in (20.0, 60.0):
-            flight = {"bank": 20.0, "wind": wind, "duration": length * 150.0, **ALWAYS}
+            spoil = partial(carried, seconds, series.seed)
             words = f"carried for {seconds:g} s"
-            spoil = partial(carried, seconds, seed)
-            yield _trial("launched", seed, aircraft, words, {}, spoil=spoil, **flight)
+            yield series.trial(aircraft, words, 150.0, bank=20.0, wind=wind, spoil=spoil)
 
 
 def _pitot(reads: float, until: float, measured: Measurements) -> Measurements:
@@ -529,69 +492,60 @@ def _pitot(reads: float, until: float, measured: Measurements) -> Measurements:
     return replace(measured, airspeed=np.where(wrong, reads, 1.0) * measured.airspeed)
 
 
-def _blocked(seed: int, length: float) -> Iterator[Trial]:
+def _blocked(series: Series) -> Iterator[Trial]:
     """Excited, with an airspeed; the pitot tube blocks, for ten seconds or for good."""
-    sensors = replace(SENSORS, airspeed_noise=0.5)
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 2)):
         for reads, until in ((0.0, GLITCH_TIME + 10.0), (0.0, 1e3), (0.5, 1e3)):
-            words = f"reads {reads:g} of the airspeed" + (", for good" if until == 1e3 else "")
-            flight = {"bank": 20.0, "wind": wind, "duration": length * 130.0, **ALWAYS}
-            more = {"sensors": sensors, "spoil": partial(_pitot, reads, until)}
-            yield _trial("blocked", seed, aircraft, words, {}, **flight, **more)
+            yield series.trial(
+                aircraft,
+                f"reads {reads:g} of the airspeed" + (", for good" if until == 1e3 else ""),
+                130.0, bank=20.0, wind=wind, sensors=replace(SENSORS, airspeed_noise=0.5),
+                spoil=partial(_pitot, reads, until),
+            )  # fmt: skip
 
 
-def _loaded(seed: int, length: float) -> Iterator[Trial]:
+def _loaded(series: Series) -> Iterator[Trial]:
     """Excited; a load is dropped or taken up, and the whole row changes with the inertia."""
     for rows, factor in (
         ("pdot qdot rdot", 0.7), ("pdot qdot rdot", 1.4), ("pdot", 0.6), ("qdot", 0.5),
     ):  # fmt: skip
-        changes = (CoefficientChange(length * CHANGED, dict.fromkeys(rows.split(), factor)),)
-        flight = {"bank": 20.0, "wind": 0.3, "duration": length * 130.0, **ALWAYS}
-        words = f"{rows} x {factor:g}"
-        yield _trial("loaded", seed, "light_aircraft", words, {}, changes=changes, **flight)
+        when, words = series.length * CHANGED, f"{rows} x {factor:g}"
+        changes = (CoefficientChange(when, dict.fromkeys(rows.split(), factor)),)
+        yield series.trial("light_aircraft", words, 130.0, bank=20.0, wind=0.3, changes=changes)
 
 
-def _mistakes(seed: int, length: float) -> Iterator[Trial]:
+def _mistakes(series: Series) -> Iterator[Trial]:
     """Excited flights with one mistake each."""
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 0)):
-        for name, spoil, settings, named in MISTAKES:
-            fields = {"settings": settings, "names": named}
-            flight = {"excitation": ((0.0, 1e3),), "bank": 20.0, "wind": wind, "spoil": spoil}
-            duration = length * 60.0
-            yield _trial("mistakes", seed, aircraft, name, fields, duration=duration, **flight)
+        for mistake, spoil, settings, named in MISTAKES:
+            yield series.trial(
+                aircraft, mistake, 60.0, excitation=((0.0, 1e3),), bank=20.0, wind=wind,
+                spoil=spoil, settings=settings, names=named,
+            )  # fmt: skip
 
 
-def _recorded(seed: int, length: float) -> Iterator[Trial]:
+def _recorded(series: Series) -> Iterator[Trial]:
     """Real flights, as far as they are at hand: each once."""
-    for name in filter(cases.is_recorded, cases.RECORDED_DELAY if seed == 1 else ()):
+    for name in filter(cases.is_recorded, cases.RECORDED_DELAY if series.seed == 1 else ()):
         settings = {"actuators.estimate_delay": True}
-        yield Trial("recorded", name, seed, partial(cases.recorded, name), settings)
+        yield Trial("recorded", name, series.seed, partial(cases.recorded, name), settings)
 
 
-CLASSES: dict[str, Callable[[int, float], Iterable[Trial]]] = {
-    "feedback": _feedback,
-    "old_knowledge": _old_knowledge,
-    "changed": _changed,
-    "unmodelled": _unmodelled,
-    "untold": _untold,
-    "weak": _weak,
-    "glitch": _glitch,
-    "clean": _clean,
-    "in_turn": _in_turn,
-    "partly": _partly,
-    "unseen": _unseen,
-    "random": _random,
-    "closed_loop": _closed_loop,
-    "told_wrong": _told_wrong,
-    "launched": _launched,
-    "blocked": _blocked,
-    "loaded": _loaded,
-    "mistakes": _mistakes,
-    "recorded": _recorded,
-}
-"""Flights of each class: from seed and relative length."""
+CLASSES = {
+    make.__name__.removeprefix("_"): make
+    for make in (
+        _feedback, _old_knowledge, _changed, _unmodelled, _untold, _weak, _glitch, _clean, _in_turn,
+        _partly, _unseen, _random, _closed_loop, _told_wrong, _launched, _blocked, _loaded,
+        _mistakes, _recorded,
+    )
+}  # fmt: skip
+"""What yields the trials of each class."""
 
 
 def trials(classes: Sequence[str], seeds: Sequence[int], length: float = LONG) -> list[Trial]:
     """Return the trials of the classes named, with each seed."""
-    return [trial for kind in classes for seed in seeds for trial in CLASSES[kind](seed, length)]
+    return [
+        trial
+        for kind, seed in product(classes, seeds)
+        for trial in CLASSES[kind](Series(kind, seed, length))
+    ]

@@ -49,6 +49,7 @@ class LiveAircraft(Live):
         seed: int = 0,
         speed: float | None = None,  # True airspeed in place of the aircraft's own, m/s
         rate: float = SIMULATION_RATE,
+        time_constant: float = 0.0,  # First-order lag of the surfaces, not of the throttle, s
     ) -> None:
         super().__init__(sensors, delay, seed, rate, faults)
         self.aircraft = Aircraft(name, rate, speed)  # JSBSim's aircraft
@@ -56,6 +57,9 @@ class LiveAircraft(Live):
         self.trim = self.outputs = self._acting = self.aircraft.surfaces
         self._wanted = self._airspeed()
         self._seed, self._effect, self._jammed = seed, np.ones(4), np.full(4, np.nan)
+        self._lagged = self._acting
+        keep = np.exp(-1.0 / (rate * time_constant)) if time_constant else 0.0
+        self._keep = keep * np.array([1.0, 1.0, 1.0, 0.0])
 
     def apply(self, fault: Fault) -> None:
         """Let a fault happen now; see `Live.apply`."""
@@ -87,6 +91,10 @@ class LiveAircraft(Live):
         return self.aircraft.clip(np.append(commanded, self.trim[3] + SPEED_GAIN * slow))
 
     def _fly(self, acting: FloatArray, moved: bool) -> tuple[float, ...]:
+        if self._keep.any():
+            before = self._lagged if self._step else acting
+            acting = self._lagged = acting + self._keep * (before - acting)
+            moved = True
         if moved:
             moved_to = self.trim + self._effect * (acting - self.trim)
             self.aircraft.set_surfaces(np.where(np.isnan(self._jammed), moved_to, self._jammed))
@@ -116,6 +124,7 @@ class AircraftFlight(Plan):
     turbulence: int = 0  # JSBSim's MIL-F-8785C severity, 0 (calm) to 7
     faults: Sequence[Fault] = ()  # Those that come at a time of their own
     speed: float | None = None  # True airspeed, m/s; None for the aircraft's own
+    time_constant: float = 0.0  # First-order lag of the surfaces, s
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -141,8 +150,9 @@ class AircraftFlight(Plan):
         faults = [Fault("turbulence", value=self.turbulence, time=0.0), *self.faults]
         sensors = Sensors(rate=self.actuator_rate)
         live = LiveAircraft(
-            self.aircraft, sensors, self.delay, faults, self.seed, self.speed, self.rate
-        )
+            self.aircraft, sensors, self.delay, faults, self.seed, self.speed, self.rate,
+            self.time_constant,
+        )  # fmt: skip
 
         def commanded(t: float, excitation: FloatArray) -> FloatArray:
             wanted = live.autopilot.surfaces(live.signals, self._bank_reference(t))
@@ -160,6 +170,7 @@ class AircraftFlight(Plan):
             specific_force=rows[:, 6:9],
             inputs=commands - live.trim,
             trim=np.array(live.trim),
+            time_constant=self.time_constant,
             # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
             local_truth=cruise_derivatives(self.aircraft, round(float(airspeed.mean()), 1)),
             airspeed=airspeed,
