@@ -241,9 +241,10 @@ def fly(prepared: Prepared, name: str, factor: float, cell: Cell) -> dict[str, A
     aircraft, fault, k, seed = cell
     case, when = FAULTS[fault], fault_time(k, seed)
     axis, commands = case.axis, tuple(f"{when}: {c}" for c in case.commands)
-    mission = Mission(when + AFTER, commands, seed, case.sensors, case.delay)
-    if fault == HEALTHY:
-        mission = replace(mission, duration=BEFORE + SPREAD + AFTER)
+    mission = Mission(
+        duration=AFTER + (BEFORE + SPREAD if fault == HEALTHY else when), faults=commands,
+        seed=seed, sensors=case.sensors, delay=case.delay,
+    )  # fmt: skip
     identifier = make_identifier(prepared) if name == ADAPTIVE else None
     make = make_controller(prepared, name, factor)
     if name == ORACLE:

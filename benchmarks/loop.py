@@ -31,6 +31,8 @@ from uav_ident_ros.simulation.rate_reference import NORMAL, Manoeuvres
 DELAY = 0.02
 """From a sample to the surface that its command moves, s."""
 
+Random = np.random.Generator
+
 
 class Controller(Protocol):
     """What answers a sample."""
@@ -39,15 +41,28 @@ class Controller(Protocol):
         """Return de, dr, da, dth, deviations from trim."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Mission:
-    """One flight."""
+    """One flight, and what goes wrong around the loop."""
 
     duration: float = 60.0  # s
     faults: tuple[str, ...] = ()  # As in `uav_ident_ros.simulation.faults`, with times
     seed: int = 0  # Of noise, turbulence and manoeuvres
     sensors: Sensors = SENSORS  # Of the Imu
     delay: float = DELAY  # True one, s: identifier and controllers are told `DELAY`
+    dead: tuple[float, float] = (0.0, 0.0)  # When no identifier runs, s
+    cold: bool = False  # Whether the next one starts without coefficients
+    clock: Callable[[float], float] = lambda t: 0.0  # Error of all stamps, s
+    # Rates as the Imu says them, or None for a message that is lost
+    imu: Callable[[float, FloatArray, Random], FloatArray | None] = lambda t, x, rng: x
+    # What arrives of each set of coefficients
+    messages: Callable[[float, Coefficients, Random], list[Coefficients]] = lambda t, c, rng: [c]
+    excitation: Callable[[float], FloatArray] = lambda t: np.zeros(4)
+
+    def take_off(self, aircraft: str, speed: float) -> LiveAircraft:
+        """Return the aircraft in steady flight at a true airspeed, m/s."""
+        faults = [parse_fault(text) for text in self.faults]
+        return LiveAircraft(aircraft, self.sensors, self.delay, faults, self.seed, speed=speed)
 
 
 @dataclass(eq=False)
@@ -126,21 +141,31 @@ class Loop:
     # What is added to the controller's inputs at a stamp, ns, and who hears each estimate
     inject: Callable[[int, FloatArray], FloatArray] = lambda _, u: u
     on_estimate: Callable[[Estimate], object] = lambda _: None
+    # Error of all stamps, s, and rates as the Imu says them, None for a lost message; at a time, s
+    clock: Callable[[float], float] = lambda _: 0.0
+    imu: Callable[[float, FloatArray], FloatArray | None] = lambda _, x: x
+
+    def __post_init__(self) -> None:
+        self._u = np.zeros(4)
 
     def answer(self) -> tuple[Sample, FloatArray]:
         """Answer the newest sample; return it and the rates wanted, (3,), rad/s."""
         live, sample = self.live, self.live.sample()
-        t_ns = EPOCH_NS + round(sample.time * 1e9)
+        t_ns = EPOCH_NS + round((sample.time + self.clock(sample.time)) * 1e9)
         roll, pitch = map(float, sample.attitude[:2])
         reference = self.guide.rates(sample.time, roll, pitch, live.period)
-        u = self.controller.update(t_ns, sample.measured_rates, reference)
-        live.command((self.trim + self.inject(t_ns, u))[:3])
+        rates = self.imu(sample.time, sample.measured_rates)
+        if rates is not None:
+            u = self.controller.update(t_ns, rates, reference)
+            self._u = self.inject(t_ns, u)
+        live.command((self.trim + self._u)[:3])
         if self.identifier is not None:
-            if (speed := sample.measured_airspeed) is not None:
+            speed = sample.measured_airspeed
+            if speed is not None and self.identifier.settings.airspeed.type:
                 self.identifier.add_airspeed(t_ns, speed)
-            force = sample.measured_force.tolist()
             self.identifier.add_actuators(t_ns, live.outputs.tolist())
-            self.identifier.add_rates(t_ns, sample.measured_rates.tolist(), force)
+            if rates is not None:
+                self.identifier.add_rates(t_ns, rates.tolist(), sample.measured_force.tolist())
             for estimate in self.identifier.advance():
                 self.on_estimate(estimate)
         return sample, reference
@@ -152,36 +177,49 @@ def fly_loop(
     # Makes the controller, on a source of coefficients
     make: Callable[[CoefficientSource], Controller],
     identifier: OnlineIdentifier | None = None,  # Identifies on the way; without it nothing is
+    live: LiveAircraft | None = None,  # In the place of the prepared aircraft at its own speed
 ) -> Outcome:
     """Fly once."""
-    frame = prepared.airframe
-    faults = [parse_fault(text) for text in mission.faults]
-    live = LiveAircraft(
-        prepared.aircraft, mission.sensors, mission.delay, faults, mission.seed, speed=frame.speed
-    )
-    guide = Manoeuvres(**NORMAL | {"airspeed": frame.speed, "seed": mission.seed})
+    live = live or mission.take_off(prepared.aircraft, prepared.airframe.speed)
+    speed = live.aircraft.airframe.speed
+    guide = Manoeuvres(**NORMAL | {"airspeed": speed, "seed": mission.seed})
     source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
     controller = make(source)
+    rng = np.random.default_rng(mission.seed)
     nothing: FloatArray = np.empty(0)
     outcome = Outcome(nothing, nothing, nothing, nothing)
 
     def on_estimate(estimate: Estimate) -> None:
-        assert identifier is not None
-        source.add(message_of(identifier, estimate))
+        assert loop.identifier is not None
+        for message in mission.messages(live.time, message_of(loop.identifier, estimate), rng):
+            source.add(message)
         t = (estimate.t_ns - EPOCH_NS) * 1e-9
         outcome.usable.append((t, estimate.usable_rows))
         outcome.denied.append((t, "" if estimate.usable else estimate.reason))
 
-    loop = Loop(live, prepared.trim, guide, controller, identifier, on_estimate=on_estimate)
+    def inject(t_ns: int, u: FloatArray) -> FloatArray:
+        if not isinstance(controller, RateController):
+            return u
+        return controller.inject(t_ns, u, mission.excitation(live.time))
+
+    loop = Loop(
+        live, prepared.trim, guide, controller, identifier, inject, on_estimate, mission.clock,
+        lambda t, x: mission.imu(t, x, rng),
+    )  # fmt: skip
     rows: list[tuple[Sample, FloatArray, FloatArray]] = []
+    killed, restarted = mission.dead
     try:
         for _ in range(round(mission.duration * mission.sensors.rate)):
+            if identifier is not None and killed < live.time < restarted:
+                loop.identifier = None
+            elif identifier is not None and loop.identifier is None:
+                known = None if mission.cold else prepared.coefficients
+                loop.identifier = OnlineIdentifier(identifier.settings, known)
             sample, reference = loop.answer()
             rows.append((sample, reference, live.outputs))
-            for change in (
-                identifier.supervisor.changed[len(outcome.changes) :] if identifier else ()
-            ):
-                outcome.changes.append((sample.time, change.name))
+            if loop.identifier is not None:
+                for change in loop.identifier.supervisor.changed[len(outcome.changes) :]:
+                    outcome.changes.append((sample.time, change.name))
             if isinstance(controller, RateController):
                 now = controller.effect.sources
                 if not outcome.sources or outcome.sources[-1][1] != now:
@@ -201,12 +239,13 @@ def rate_controller(
     adaptive: bool = True,
     law: Law = IncrementalLaw,
     gains: Gains | None = None,  # Its own by default
+    delay: float = DELAY,  # That it is told, s
 ) -> Callable[[CoefficientSource], RateController]:
     """Return what makes a `RateController` for `fly_loop`."""
     limits = prepared.limits - prepared.trim
 
     def make(source: CoefficientSource) -> RateController:
         nominal = nominal_of(prepared)
-        return RateController(source, nominal, limits, DELAY, law, adaptive, gains)
+        return RateController(source, nominal, limits, delay, law, adaptive, gains)
 
     return make

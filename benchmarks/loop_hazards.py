@@ -14,48 +14,29 @@ from typing import Any
 import bench
 import numpy as np
 from fault_campaign import ADAPTIVE, AIRCRAFT, Fleet
-from loop import DELAY, make_identifier, message_of, nominal_of
+from loop import DELAY, Mission, Random, fly_loop, make_identifier, rate_controller
 
-from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
-from uav_ident_ros.control import IncrementalLaw, RateController
-from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.client import Coefficients
+from uav_ident_ros.control import IncrementalLaw
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, FloatArray
-from uav_ident_ros.simulation.airframe import airframe
-from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
-from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
-from uav_ident_ros.simulation.preparation import SENSORS, Prepared
-from uav_ident_ros.simulation.rate_reference import NORMAL, Manoeuvres
+from uav_ident_ros.simulation.preparation import Prepared
 
 DURATION = 45.0
 SPANS = ((5.0, 15.0), (15.0, 30.0), (30.0, DURATION))
 """What is compared: before, during and after most hazards, s."""
 
-Delivered = Callable[[float, Coefficients, np.random.Generator], list[Coefficients]]
+Delivered = Callable[[float, Coefficients, Random], list[Coefficients]]
 
 
-def no_input(_: float) -> FloatArray:
-    """Excite nothing."""
-    return np.zeros(4)
-
-
-@dataclass(frozen=True)
-class Hazard:
+@dataclass(frozen=True, kw_only=True)
+class Hazard(Mission):
     """What is not as it should be."""
 
-    faults: tuple[str, ...] = ()
-    delay: float = DELAY  # True one, s
-    told: float = DELAY  # The one that controller and identifier are told, s
+    told: float = DELAY  # The delay that controller and identifier are told, s
     trim: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Error of the told trim, rad
     speed: float = 1.0  # Airspeed over the one that the coefficients are of
     airspeed: bool = True  # Whether it is measured
-    dead: tuple[float, float] = (0.0, 0.0)  # When no identifier runs, s
-    cold: bool = False  # Whether the next one starts without coefficients
-    clock: Callable[[float], float] = lambda t: 0.0  # Error of all stamps, s
-    # Rates as the Imu says them, or None for a message that is lost
-    imu: Callable[[float, FloatArray, np.random.Generator], FloatArray | None] = lambda t, x, r: x
-    messages: Delivered = lambda t, c, r: [c]  # What arrives of each set of coefficients
-    excitation: Callable[[float], FloatArray] = no_input
 
 
 def lost(share: float) -> Delivered:
@@ -100,18 +81,20 @@ HAZARDS = {
     "delay 60 ms, told 20": Hazard(delay=0.06),
     "delay 20 ms, told 40": Hazard(told=0.04),
     "delay 20 ms, told 60": Hazard(told=0.06),
-    "delay 60 ms, told 20, aileron halved": Hazard(HALVED, delay=0.06),
+    "delay 60 ms, told 20, aileron halved": Hazard(faults=HALVED, delay=0.06),
     "trim off by 0.05, 0.03, 0.05 rad": Hazard(trim=(0.05, 0.03, 0.05)),
-    "trim off, aileron halved": Hazard(HALVED, trim=(-0.05, -0.03, -0.05)),
+    "trim off, aileron halved": Hazard(faults=HALVED, trim=(-0.05, -0.03, -0.05)),
     "a tenth of the coefficients lost": Hazard(messages=lost(0.1)),
-    "half of them lost, aileron halved": Hazard(HALVED, messages=lost(0.5)),
+    "half of them lost, aileron halved": Hazard(faults=HALVED, messages=lost(0.5)),
     "silent for 2 s, elevator halved in it": Hazard(
-        ("18.5: elevator effect 0.5",), messages=lambda t, c, _: [] if 18.0 < t < 20.0 else [c]
+        faults=("18.5: elevator effect 0.5",),
+        messages=lambda t, c, _: [] if 18.0 < t < 20.0 else [c],
     ),
-    "identifier killed 15 to 25 s, aileron halved": Hazard(HALVED, dead=(15.0, 25.0)),
+    "identifier killed 15 to 25 s, aileron halved": Hazard(faults=HALVED, dead=(15.0, 25.0)),
     "identifier killed, next one cold": Hazard(dead=(15.0, 25.0), cold=True),
     "stamps stand still, aileron halved": Hazard(
-        HALVED, messages=lambda t, c, _: [replace(c, t_ns=min(c.t_ns, EPOCH_NS + 15 * 10**9))]
+        faults=HALVED,
+        messages=lambda t, c, _: [replace(c, t_ns=min(c.t_ns, EPOCH_NS + 15 * 10**9))],
     ),
     "stamps 5 s ahead": Hazard(messages=stamped(5.0)),
     "another publisher, effects a third": Hazard(messages=also(1.0 / 3.0)),
@@ -130,7 +113,7 @@ HAZARDS = {
     ),
     "clock 5 s forward": Hazard(clock=lambda t: 5.0 * (t > 20.0)),
     "clock 5 s back, aileron halved": Hazard(
-        ("20.2: aileron effect 0.5",), clock=lambda t: -5.0 * (t > 20.0)
+        faults=("20.2: aileron effect 0.5",), clock=lambda t: -5.0 * (t > 20.0)
     ),
     "excitation aborted": Hazard(excitation=excited),
 }
@@ -140,67 +123,21 @@ def fly(
     prepared: Prepared, factor: float, adaptive: bool, hazard: Hazard, seed: int
 ) -> dict[str, Any]:
     """Fly once; errors in deg/s, what the axes were flown on, and when the aircraft was lost."""
-    name, speed = prepared.aircraft, prepared.airframe.speed * hazard.speed
-    live = LiveAircraft(
-        name, SENSORS, hazard.delay, [parse_fault(f) for f in hazard.faults], seed, speed=speed
-    )
-    told = replace(
-        prepared, trim=live.trim + np.append(hazard.trim, 0.0), limits=live.aircraft.limits
-    )
-    source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(told))
-    controller = RateController(
-        source, nominal_of(told), told.limits - told.trim, hazard.told, adaptive=adaptive,
-        gains=IncrementalLaw.gains.times(factor),
-    )  # fmt: skip
-    guide = Manoeuvres(**NORMAL | {"airspeed": airframe(name, speed).speed, "seed": seed})
+    mission = replace(hazard, duration=DURATION, seed=seed)
+    live = mission.take_off(prepared.aircraft, prepared.airframe.speed * hazard.speed)
+    trim = live.trim + np.append(hazard.trim, 0.0)
+    told = replace(prepared, trim=trim, limits=live.aircraft.limits)
     settings: dict[str, Any] = {"actuators.delay": hazard.told}
     settings |= {} if hazard.airspeed else {"airspeed.type": ""}
-    identifier = make_identifier(told, **settings)
-    rng, u, began = np.random.default_rng(seed), np.zeros(4), False
-    rows: list[FloatArray] = []
-    sources: set[tuple[str, ...]] = set()
-    died = None
-    try:
-        for _ in range(round(DURATION * SENSORS.rate)):
-            sample = live.sample()
-            t = sample.time
-            t_ns = EPOCH_NS + round((t + hazard.clock(t)) * 1e9)
-            roll, pitch = map(float, sample.attitude[:2])
-            reference = guide.rates(t, roll, pitch, live.period)
-            rates = hazard.imu(t, sample.measured_rates, rng)
-            if rates is not None:
-                u = controller.update(t_ns, rates, reference)
-                u = controller.inject(t_ns, u, hazard.excitation(t))
-            live.command((told.trim + u)[:3])
-            if t >= hazard.dead[1] > 0.0 and not began:
-                began = True
-                fresh = make_identifier(told, **settings)
-                identifier = OnlineIdentifier(fresh.settings) if hazard.cold else fresh
-            if adaptive and not hazard.dead[0] < t < hazard.dead[1]:
-                if hazard.airspeed and (measured := sample.measured_airspeed) is not None:
-                    identifier.add_airspeed(t_ns, measured)
-                identifier.add_actuators(t_ns, live.outputs.tolist())
-                if rates is not None:
-                    force = sample.measured_force.tolist()
-                    identifier.add_rates(t_ns, rates.tolist(), force)
-                for estimate in identifier.advance():
-                    for one in hazard.messages(t, message_of(identifier, estimate), rng):
-                        source.add(one)
-            rows.append(np.array([t, *(sample.rates - reference)]))
-            sources.add(controller.effect.sources)
-            live.advance()
-    except SimulationError:
-        died = live.time
-    flown = np.array(rows)
-    errors = [
-        np.degrees(np.sqrt(np.mean(flown[(flown[:, 0] >= a) & (flown[:, 0] < b), 1:] ** 2, axis=0)))
-        for a, b in SPANS
-        if died is None
-    ]
+    gains = IncrementalLaw.gains.times(factor)
+    make = rate_controller(told, adaptive, gains=gains, delay=hazard.told)
+    identifier = make_identifier(told, **settings) if adaptive else None
+    outcome = fly_loop(told, mission, make, identifier, live)
+    flown_on = zip(*(sources for _, sources in outcome.sources), strict=True)
     return {
-        "lost": died,
-        "errors": [error.tolist() for error in errors],
-        "sources": [sorted(set(axis)) for axis in zip(*sources, strict=True)],
+        "lost": outcome.lost,
+        "errors": [outcome.error(*s).tolist() for s in SPANS if outcome.lost is None],
+        "sources": [sorted(set(axis)) for axis in flown_on],
     }
 
 

@@ -39,12 +39,9 @@ def fly(flight: tuple[str, int, float, int], duration: float, airspeed: bool) ->
     aircraft, turbulence, noise, seed = flight
     prepared = _prepared(aircraft)
     identifier = make_identifier(prepared, **({} if airspeed else {"airspeed.type": ""}))
-    mission = Mission(
-        duration,
-        (f"0: turbulence {turbulence}",) if turbulence else (),
-        seed,
-        replace(SENSORS, gyro_noise=noise),
-    )
+    faults = (f"0: turbulence {turbulence}",) if turbulence else ()
+    sensors = replace(SENSORS, gyro_noise=noise)
+    mission = Mission(duration=duration, faults=faults, seed=seed, sensors=sensors)
     outcome = fly_loop(prepared, mission, rate_controller(prepared), identifier)
     rows = np.array([rows for t, rows in outcome.usable if t >= START])
     end, known = identifier.coefficient_set(), prepared.coefficients

@@ -40,16 +40,16 @@ def test_what_is_identified_is_true_and_the_files_have_the_sections_of_the_nodes
 
 
 def test_it_flies_on_what_was_identified(small: Prepared) -> None:
-    outcome = fly_loop(small, Mission(8.0), rate_controller(small), make_identifier(small))
+    outcome = fly_loop(small, Mission(duration=8.0), rate_controller(small), make_identifier(small))
     assert outcome.lost is None and len(outcome.time) == 800
     assert outcome.error(3.0, 8.0).max() < 5.0
     assert len(outcome.usable) > 100
-    again = fly_loop(small, Mission(2.0), rate_controller(small), make_identifier(small))
+    again = fly_loop(small, Mission(duration=2.0), rate_controller(small), make_identifier(small))
     np.testing.assert_array_equal(outcome.rates[:200], again.rates)
 
 
 def test_a_reversed_aileron_is_survived_and_a_fixed_law_is_lost(small: Prepared) -> None:
-    mission = Mission(12.0, ("5: aileron effect -1",))
+    mission = Mission(duration=12.0, faults=("5: aileron effect -1",))
     adaptive = fly_loop(small, mission, rate_controller(small))
     fixed = fly_loop(small, mission, rate_controller(small, adaptive=False))
     assert adaptive.lost is None
@@ -65,7 +65,7 @@ def light() -> Prepared:
 
 
 def test_a_jammed_aileron_is_survived_by_sideslip_and_a_fixed_law_is_lost(light: Prepared) -> None:
-    mission = Mission(12.0, ("3: aileron jams 0.06",), seed=1)
+    mission = Mission(duration=12.0, faults=("3: aileron jams 0.06",), seed=1)
     adaptive = fly_loop(light, mission, rate_controller(light))
     fixed = fly_loop(light, mission, rate_controller(light, adaptive=False))
     assert adaptive.lost is None and adaptive.error(3.0, 12.0)[1] < 2.0
@@ -75,7 +75,10 @@ def test_a_jammed_aileron_is_survived_by_sideslip_and_a_fixed_law_is_lost(light:
 def test_a_lost_aileron_leaves_pitch_and_yaw_whole(light: Prepared) -> None:
     healthy, lost = (
         fly_loop(
-            light, Mission(15.0, faults, seed=1), rate_controller(light), make_identifier(light)
+            light,
+            Mission(duration=15.0, faults=faults, seed=1),
+            rate_controller(light),
+            make_identifier(light),
         )
         for faults in ((), ("8: aileron effect 0",))
     )
