@@ -69,7 +69,7 @@ largest relative error of the dominant coefficients at the end (percent), proces
 def _cell(case: cases.Case, structure: str, method: str, track: cases.Track, began: float) -> Cell:
     score = cases.score(case, track)
     # What the offline fit minimises: the models here describe a second that has passed.
-    fits = {"model": score.given_force, "truth": score.truth, "hold": score.hold}
+    fits = {"model": cases.given_force(score), "truth": score.truth, "hold": score.hold}
     return {
         "flight": case.name,
         "seed": case.seed,
@@ -118,7 +118,7 @@ def _run_structure(case: cases.Case, label: str, values: Mapping[str, object]) -
     # The online estimates as they stood where the fitted part ends: the better start counts.
     starts = [t.coefficients[t.at(output_error.TRAINING_PART * t.time[-1])] for t in tracks[1:]]
     found = output_error.fit(case, settings, starts)
-    yield _cell(case, label, "output error", cases.constant_track(case, settings, found), began)
+    yield _cell(case, label, "output error", tracks[0].constant(found), began)
 
 
 def _run_adaptive(case: cases.Case, label: str, values: Mapping[str, object]) -> Iterator[Cell]:
@@ -160,17 +160,10 @@ def in_short(cells: Group) -> str:
     """Say how the default and the reference did, in a line."""
     parts = [
         f"{structure} {method} {_fits([cell['model'] for cell in group])}"
-        for (structure, method), group in _grouped(cells, "structure", "method").items()
+        for (structure, method), group in bench.grouped(cells, "structure", "method").items()
         if method in (DEFAULT, REFERENCE)
     ]
     return f"{cells[0]['flight']} seed {cells[0]['seed']}: " + "; ".join(parts)
-
-
-def _grouped(cells: Group, *keys: str) -> dict[tuple[Any, ...], list[Cell]]:
-    groups: dict[tuple[Any, ...], list[Cell]] = {}
-    for cell in cells:
-        groups.setdefault(tuple(cell[key] for key in keys), []).append(cell)
-    return groups
 
 
 def _fits(fits: Sequence[Sequence[float]]) -> str:
@@ -180,7 +173,7 @@ def _fits(fits: Sequence[Sequence[float]]) -> str:
 
 def report(cells: Group) -> Iterator[str]:
     """Yield a table of each flight, the averages, and the distance from the output-error fit."""
-    every = _grouped(cells, "structure", "method")
+    every = bench.grouped(cells, "structure", "method")
     # of the NLMS steps only the one that did best over all flights, for each structure
     best: dict[str, tuple[float, str]] = {}
     for (structure, method), group in every.items():
@@ -188,7 +181,7 @@ def report(cells: Group) -> Iterator[str]:
             best[structure] = max(best.get(structure, (-np.inf, "")), (_clipped(group), method))
     left = {key for key in every if "NLMS" not in key[1] or best[key[0]][1] == key[1]}
     cells = [cell for cell in cells if (cell["structure"], cell["method"]) in left]
-    for (flight,), own in _grouped(cells, "flight").items():
+    for (flight,), own in bench.grouped(cells, "flight").items():
         yield f"\n{flight}, {len({cell['seed'] for cell in own})} seeds\n"
         yield from bench.table(HEAD, _flight_rows(own))
     families = {
@@ -204,7 +197,7 @@ def report(cells: Group) -> Iterator[str]:
 
 def _flight_rows(cells: Group) -> Iterator[Sequence[str]]:
     yield "", "hold the last rate", _fits([cell["hold"] for cell in cells]), "", "", ""
-    for (structure, method), group in _grouped(cells, "structure", "method").items():
+    for (structure, method), group in bench.grouped(cells, "structure", "method").items():
         fits = [cell["model"] for cell in group]
         spread = f"{np.std(fits, axis=0).max():.1f}" if len(fits) > 1 else ""
         error = float(np.mean([cell["coefficient_error"] for cell in group]))
@@ -219,7 +212,7 @@ def _clipped(cells: Group, field: str = "model") -> float:
 
 def _family_rows(cells: Group, families: Mapping[str, Any]) -> Iterator[Sequence[str]]:
     held = [cell | {"structure": "", "method": "hold", "model": cell["hold"]} for cell in cells]
-    for key, group in _grouped([*held, *cells], "structure", "method").items():
+    for key, group in bench.grouped([*held, *cells], "structure", "method").items():
         means = [
             _clipped([cell for cell in group if cell["flight"].startswith(names)])
             for names in families.values()
@@ -230,9 +223,9 @@ def _family_rows(cells: Group, families: Mapping[str, Any]) -> Iterator[Sequence
 def _gap_rows(cells: Group) -> Iterator[Sequence[str]]:
     means = {
         key: np.maximum(np.mean([cell["model"] for cell in group], axis=0), CLIP)
-        for key, group in _grouped(cells, "structure", "method", "flight").items()
+        for key, group in bench.grouped(cells, "structure", "method", "flight").items()
     }
-    for structure, method in _grouped(cells, "structure", "method"):
+    for structure, method in bench.grouped(cells, "structure", "method"):
         gaps = {
             flight: fit - means[s, REFERENCE, flight]
             for (s, m, flight), fit in means.items()

@@ -57,6 +57,16 @@ def done(
     return results
 
 
+def grouped(
+    results: Iterable[dict[str, Any]], *keys: str
+) -> dict[tuple[Any, ...], list[dict[str, Any]]]:
+    """Return the results that are alike in some keys, by these, in the order of the first ones."""
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for result in results:
+        groups.setdefault(tuple(result[key] for key in keys), []).append(result)
+    return groups
+
+
 def resident_mb(pid: int | str = "self") -> float:
     """Resident memory of a process, MiB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flights as the identifier sees them, one pass over them, and the score of what came out."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice, takewhile
 from pathlib import Path
@@ -19,6 +21,7 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prediction import (
     Flown,
     InputSignal,
+    PredictionFit,
     Published,
     WindowErrors,
     score_windows,
@@ -197,6 +200,11 @@ class Track:
     changes: list[tuple[float, int, int]]  # Releases of changed coefficients
     flow: FloatArray | None = None  # As `Published` has it
 
+    def constant(self, coefficients: FloatArray) -> Track:
+        """Return the same ticks with coefficients that stay as they are."""
+        still = np.broadcast_to(coefficients, self.coefficients.shape)
+        return replace(self, coefficients=still)
+
     def published(self) -> Published:
         """Return what the track published."""
         return Published(self.t_ns, self.coefficients, self.structure, self.flow)
@@ -254,30 +262,6 @@ def identify(
     )
 
 
-def constant_track(case: Case, settings: Settings, coefficients: FloatArray) -> Track:
-    """Return the track of coefficients, shape (3, n), that stay as they are."""
-    t_ns = _ticks(case, settings)
-    count = len(t_ns)
-    still = np.broadcast_to(coefficients, (count, *coefficients.shape))
-    return Track(
-        settings=settings,
-        t_ns=t_ns,
-        time=(t_ns - case.samples.imu_t_ns[0]) * 1e-9,
-        coefficients=still,
-        sigma=np.zeros_like(still),
-        learning=np.zeros((count, 3), dtype=bool),
-        delay=np.full(count, settings.actuators.delay),
-        changes=[],
-    )
-
-
-def _ticks(case: Case, settings: Settings) -> TimeArray:
-    period = round(1e9 / settings.update_rate)
-    t_ns = case.samples.imu_t_ns
-    first = -(-int(t_ns[0]) // period)
-    return np.arange(first * period, int(t_ns[-1]), period, dtype=np.int64)
-
-
 @dataclass(frozen=True)
 class Fits:
     """Fits over the last 40 % of a flight, percent, of p, q, r."""
@@ -290,15 +274,10 @@ class Fits:
     measured_force: FloatArray  # (3,) Of the model with measured forces; NaN without them
     truth: FloatArray  # (3,) As `given_force` against the noise-free rates; NaN if unknown
 
-    @property
-    def given_force(self) -> FloatArray:
-        """Fit of the model with measured forces; of the free one where it takes none."""
-        return given_force(self.model, self.measured_force)
 
-
-def given_force(model: FloatArray, measured_force: FloatArray) -> FloatArray:
+def given_force(fit: Fits | PredictionFit) -> FloatArray:
     """Return the fit with measured forces where there is one, else the free one."""
-    return np.where(np.isnan(measured_force), model, measured_force)
+    return np.where(np.isnan(fit.measured_force), fit.model, fit.measured_force)
 
 
 def score(case: Case, track: Track) -> Fits:
@@ -307,12 +286,11 @@ def score(case: Case, track: Track) -> Fits:
     found = _fit(case, track, rates, force)
     truth = np.full(3, np.nan)
     if isinstance(case.samples, Measurements):
-        true = _fit(case, track, case.samples.true_rates, force)
-        truth = given_force(true.model, true.measured_force)
+        truth = given_force(_fit(case, track, case.samples.true_rates, force))
     return Fits(found.model, found.hold, found.free, found.measured_force, truth)
 
 
-def _fit(case: Case, track: Track, rates: FloatArray, force: FloatArray) -> Any:
+def _fit(case: Case, track: Track, rates: FloatArray, force: FloatArray) -> PredictionFit:
     actuators, m = track.settings.actuators, case.samples
     u = InputMap(actuators).apply(m.actuators)
     first, last = int(m.imu_t_ns[0]), int(m.imu_t_ns[-1])

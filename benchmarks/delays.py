@@ -37,7 +37,7 @@ from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import PlantFlight
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, Body, QuadrotorFlight
 
 DURATION = 90.0
@@ -86,7 +86,7 @@ def plant(
         Segment("multisine", start, until - start, PEAKS, seed=seed) for start, until in excitation
     ]
     flight = PlantFlight(
-        segments, duration, vehicle=vehicle("small_uav"), rate=200.0, max_step=2.5e-3,
+        segments, duration, rate=200.0, max_step=2.5e-3,
         delay=delay, time_constant=lag, gusts=ColouredNoise(gusts, 0.3), autopilot=closed,
         seed=seed,
     )  # fmt: skip

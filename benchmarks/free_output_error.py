@@ -9,7 +9,7 @@ of the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q /
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import bench
@@ -126,8 +126,8 @@ def row(flight: str, held: Mapping[str, float]) -> str:
     """One row of the table."""
     case = cases.load(flight)
     track = cases.identify(case, {"structure": "flight_dynamics"})
-    offline = np.broadcast_to(fit(case, track, held), track.coefficients.shape)
-    both = [cases.score(case, t).free for t in (track, replace(track, coefficients=offline))]
+    offline = track.constant(fit(case, track, held))
+    both = [cases.score(case, t).free for t in (track, offline)]
     cells = [f"{triple(online)} | {triple(fitted)}" for online, fitted in zip(*both, strict=True)]
     return f"| {flight} | " + " | ".join(cells) + f" | {(both[0] - both[1]).min():.1f} |"
 

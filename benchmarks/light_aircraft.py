@@ -105,20 +105,12 @@ class LightFlight(Plan):
         )
 
 
-def _effect_of(changes: Sequence[CoefficientChange], time: float) -> FloatArray:
-    """Effect of each input at `time` (s), relative to the start, shape (4,)."""
-    effect = np.ones(len(INPUTS))
-    for change in changes:
-        for name, factor in change.factors.items():
-            if name in INPUTS and change.time <= time + TIME_TOLERANCE:
-                effect[INPUTS.index(name)] *= factor
-    return effect
-
-
-def _moments_of(changes: Sequence[CoefficientChange], time: float) -> tuple[float, ...]:
-    """Moments about each axis at `time` (s), relative to the start."""
+def _left(
+    changes: Sequence[CoefficientChange], names: Sequence[str], time: float
+) -> tuple[float, ...]:
+    """Return what inputs or rows do at `time` (s), relative to the start."""
     now = [change.factors for change in changes if change.time <= time + TIME_TOLERANCE]
-    return tuple(math.prod(factors.get(row, 1.0) for factors in now) for row in ROWS)
+    return tuple(math.prod(factors.get(name, 1.0) for factors in now) for name in names)
 
 
 class _LiveLight(Live):
@@ -138,9 +130,8 @@ class _LiveLight(Live):
         surface = acting + (self._surface - acting) * self._keep
         surface[:3] = np.clip(surface[:3], -spec.travel, spec.travel)
         self._surface = surface
-        effect = _effect_of(spec.changes, self.time) if spec.changes else 1.0
-        u = (surface * effect).tolist()
-        moments = _moments_of(spec.changes, self.time)
+        u = (surface * _left(spec.changes, INPUTS, self.time)).tolist()
+        moments = _left(spec.changes, ROWS, self.time)
         slope, acceleration, force = _slope(spec, self.state, u, gust, moments)
         row = (*self.state, *acceleration, *force, *surface)
         middle = tuple(x + 0.5 * h * dx for x, dx in zip(self.state, slope, strict=True))

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import struct
 import tempfile
 import time
 from collections.abc import Iterator
@@ -26,6 +25,7 @@ from pathlib import Path
 import bench
 import flights
 import numpy as np
+from hostile import stamped
 
 from uav_ident_ros.bags.writing import jazzy_types
 from uav_ident_ros.identification.samples import ACTUATORS, RATES
@@ -46,17 +46,13 @@ SETTLE = 2.5
 
 MARGIN = 2.0
 
-STAMP = struct.Struct("<iI")
-STAMP_OFFSET = 4
-"""Of a message that begins with a header, serialized: after the encapsulation header."""
-
 TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")
 
 
 # --- the publisher ----------------------------------------------------------------------------
 
 
-def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, bytearray]]:
+def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, bytes]]:
     """Messages of the flight with the time since its start, ns, in order; without stamps."""
     flight = flights.load(FLIGHT, rate=imu_rate)
     start = int(flight.imu_t_ns[0])
@@ -66,7 +62,7 @@ def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, byte
         for sample in [one for one in flown if one.stream == stream][::step]:
             message = as_message(sample, flight)
             data = jazzy_types().serialize_cdr(message, message.__msgtype__)
-            found.append((sample.t_ns - start, stream, bytearray(data)))
+            found.append((sample.t_ns - start, stream, bytes(data)))
     found.sort(key=lambda item: item[0])
     return (item for item in found if 0 <= item[0] <= seconds * 1e9)
 
@@ -94,8 +90,7 @@ def publish(imu_rate: float, seconds: float, ready: object, sent: Queue[dict[str
         ahead = (due - time.time_ns()) * 1e-9
         if ahead > 0.0:
             time.sleep(ahead)
-        STAMP.pack_into(data, STAMP_OFFSET, due // 10**9, due % 10**9)
-        publishers[topic].publish(bytes(data))
+        publishers[topic].publish(stamped(data, due))
         counts[topic] += 1
     sent.put(counts)
     node.destroy_node()

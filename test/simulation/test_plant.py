@@ -9,9 +9,8 @@ from scipy.integrate import solve_ivp
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import PAPER_PRINTED, SMALL_UAV, PlantFlight
 
-SMALL_UAV = vehicle("small_uav")
 BIG = {"de": 0.25, "dr": 0.35, "da": 0.35, "dth": 0.3}
 EXCITED = (Segment("multisine", amplitudes=BIG, period=5.0, band=(0.2, 3.0)),)
 
@@ -58,7 +57,7 @@ def reference(flight: Flight, gust: np.ndarray, edges: np.ndarray) -> np.ndarray
     ids=["servo", "change", "coarse", "moment"],
 )
 def test_the_plant_agrees_with_scipy(changes: dict) -> None:
-    spec = PlantFlight(EXCITED, 0.4, vehicle=SMALL_UAV, actuator_rate=50.0, **changes)
+    spec = PlantFlight(EXCITED, 0.4, actuator_rate=50.0, **changes)
     flight = spec.fly()
     edges = np.arange(0.0, 0.4001, 0.01)
     index = np.rint(edges * flight.rate).astype(int)
@@ -69,7 +68,7 @@ def test_the_plant_agrees_with_scipy(changes: dict) -> None:
 
 
 def test_gusts_enter_as_angular_acceleration() -> None:
-    spec = PlantFlight((), 0.05, vehicle=SMALL_UAV, gusts=ColouredNoise(3.0, 0.01), seed=3)
+    spec = PlantFlight((), 0.05, gusts=ColouredNoise(3.0, 0.01), seed=3)
     flight = spec.fly()
     # A gust is piecewise linear between samples: scipy has to start anew at each.
     wanted = reference(flight, flight.extra["gust"], flight.time)
@@ -90,7 +89,7 @@ def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
 
 def test_the_autopilot_feeds_back_and_its_commands_are_recorded() -> None:
     start = (0.5, 0.4, 0.3)
-    spec = PlantFlight((), 2.0, vehicle=SMALL_UAV, initial_rates=start, autopilot=True)
+    spec = PlantFlight((), 2.0, initial_rates=start, autopilot=True)
     free = dataclasses.replace(spec, autopilot=False).fly()
     held = spec.fly()
     np.testing.assert_allclose(held.inputs[0], [0.05 * 0.4, 0.08 * 0.3, -0.03 * 0.5, 0.0])
@@ -108,6 +107,6 @@ def test_the_plants_have_their_published_coefficients() -> None:
     assert a[index("pdot/p")] == pytest.approx(-10.0, rel=0.01)
     assert a[index("qdot/pp")] == -a[index("qdot/rr")]
     assert a[index("rdot/qr")] == pytest.approx(-a[index("pdot/pq")])
-    printed = vehicle("paper_printed").coefficients
+    printed = PAPER_PRINTED.coefficients
     assert printed[index("pdot/p")] == -0.1361
     assert printed[index("pdot/pq")] == pytest.approx(0.0010 * 57.29578)

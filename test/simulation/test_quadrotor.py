@@ -14,7 +14,7 @@ from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.cli import main
 from uav_ident_ros.simulation.faults import parse_fault
@@ -25,7 +25,6 @@ from uav_ident_ros.simulation.quadrotor_flight import (
     AMPLITUDES,
     Body,
     LiveQuadrotor,
-    Quadrotor,
     QuadrotorFlight,
 )
 from uav_ident_ros.simulation.rate_reference import Manoeuvres
@@ -33,19 +32,12 @@ from uav_ident_ros.simulation.rate_reference import Manoeuvres
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 
-def hovering(**inputs: float) -> tuple[Quadrotor, list[float]]:
-    """A quadrotor in hover, and its motors' commands for small inputs."""
-    craft = Quadrotor(Body())
-    values = [inputs.get(name, 0.0) for name in ("de", "dr", "da", "dth")]
-    trim = np.array([0.0, 0.0, 0.0, craft.body.hover])
-    return craft, QUADROTOR.raw(np.array(values), trim).tolist()
-
-
 @pytest.mark.parametrize(("name", "of"), [("pdot/da", 0), ("qdot/de", 1), ("rdot/dr", 2)])
 def test_the_control_derivatives_are_those_of_the_physics(name: str, of: int) -> None:
     small = 1e-6
-    craft, commands = hovering(**{name.partition("/")[2]: small})
-    craft.speeds = commands
+    craft = LiveQuadrotor(SENSORS)
+    inputs = small * np.array([name.endswith(label) for label in INPUTS])
+    craft.speeds = craft.motors(inputs).tolist()
     assert craft.loads()[1][of] / small == pytest.approx(craft.body.derivatives()[name], rel=1e-4)
 
 

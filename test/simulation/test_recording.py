@@ -19,11 +19,11 @@ from uav_ident_ros.simulation.channels import CHANNEL_SETS
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import PlantFlight
 from uav_ident_ros.simulation.recording import parameters, write_bag
 
 EXCITED = Segment("multisine", amplitudes={"de": 0.1, "dr": 0.1, "da": 0.1, "dth": 0.2})
-FLIGHT = PlantFlight((EXCITED,), 2.0, vehicle=vehicle("small_uav"), seed=5)
+FLIGHT = PlantFlight((EXCITED,), 2.0, seed=5)
 
 
 def recorded(folder: Path, **changes: object) -> tuple[Path, Measurements]:
@@ -128,7 +128,7 @@ NOISY = Sensors(rate=1000.0, gyro_noise=0.02, accelerometer_noise=0.1)
 @pytest.fixture(scope="module")
 def flight() -> Flight:
     segment = Segment("multisine", amplitudes={"de": 0.1, "dr": 0.1, "da": 0.1, "dth": 0.2})
-    spec = PlantFlight((segment,), 20.0, vehicle=vehicle("small_uav"), force=ColouredNoise(0.5))
+    spec = PlantFlight((segment,), 20.0, force=ColouredNoise(0.5))
     return spec.fly()
 
 

@@ -18,17 +18,16 @@ from uav_ident_ros.simulation.flight import SimulationError
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import PlantFlight
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor, QuadrotorFlight
 
-SMALL_UAV = vehicle("small_uav")
 LONG_DOUBLET = Segment("doublet", amplitudes={"da": 1.5}, unit=2.0)
 FOUR = dict.fromkeys(("de", "dr", "da", "dth"), 0.1)
 WILD = Segment("multisine", amplitudes={"da": 0.9})
 
 
 def flown(**changes: object) -> object:
-    values = {"segments": (), "duration": 1.0, "vehicle": SMALL_UAV, **changes}
+    values = {"segments": (), "duration": 1.0, **changes}
     return PlantFlight(**values).fly()
 
 

@@ -19,7 +19,7 @@ from uav_ident_ros.simulation.inputs import INPUT_KINDS, ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Plan
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import VEHICLE_NAMES, PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import VEHICLES, PlantFlight, vehicle
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 
@@ -89,7 +89,7 @@ def make_parser() -> argparse.ArgumentParser:
 
     flight = parser.add_argument_group("flight")
     add, peaks = flight.add_argument, " ".join(f"{v:g}" for v in PLANT_AMPLITUDES)
-    add("--plant", choices=(*VEHICLE_NAMES, QUADROTOR),
+    add("--plant", choices=(*VEHICLES, QUADROTOR),
         help="plant of the paper's structure (small_uav), or a quadrotor in hover")  # fmt: skip
     add("--jsbsim", metavar="AIRCRAFT",
         help=f"a JSBSim aircraft instead: {', '.join(airframe_names())}, "
@@ -163,7 +163,7 @@ def _vehicle_part(
     own |= {"time_constant": options.servo_lag} if options.servo_lag else {}
     if options.plant == QUADROTOR:
         return QuadrotorFlight, AMPLITUDES, own
-    own |= {"vehicle": vehicle(options.plant or VEHICLE_NAMES[0]), "force": FORCE_NOISE}
+    own |= {"vehicle": vehicle(options.plant or "small_uav"), "force": FORCE_NOISE}
     own["autopilot"] = options.autopilot
     return PlantFlight, dict(zip(INPUTS, PLANT_AMPLITUDES, strict=True)), own
 

@@ -62,20 +62,18 @@ class Vehicle:
     inertia: Inertia | None = None  # Its inertias, kg m^2, if A came from them
 
 
-def _small_uav() -> Vehicle:
-    """Propeller aircraft of 13 kg: roll, pitch, yaw damping of about 10, 6 and 2 1/s."""
-    inertia = Inertia(ix=0.8244, iy=1.135, iz=1.759, ixz=0.1204)
-    structure = STRUCTURES["throttle_coupled"]
-    moments = full_moments(
-        structure,
-        l_p=-8.2, l_r=1.5, l_dr=2.7, l_da=49.6, l_dth=0.7,
-        m_q=-6.8, m_de=-45.0, m_dth=-1.0,
-        n_p=0.3, n_r=-3.7, n_dr=-21.3, n_da=-9.9, n_dth=-1.0,
-    )  # fmt: skip
-    return Vehicle(
-        "small_uav", structure.name, coefficients_from_physics(inertia, moments), inertia
-    )
-
+_STRUCTURE = STRUCTURES["throttle_coupled"]
+_INERTIA = Inertia(ix=0.8244, iy=1.135, iz=1.759, ixz=0.1204)
+_MOMENTS = full_moments(
+    _STRUCTURE,
+    l_p=-8.2, l_r=1.5, l_dr=2.7, l_da=49.6, l_dth=0.7,
+    m_q=-6.8, m_de=-45.0, m_dth=-1.0,
+    n_p=0.3, n_r=-3.7, n_dr=-21.3, n_da=-9.9, n_dth=-1.0,
+)  # fmt: skip
+SMALL_UAV = Vehicle(
+    "small_uav", _STRUCTURE.name, coefficients_from_physics(_INERTIA, _MOMENTS), _INERTIA
+)
+"""Propeller aircraft of 13 kg: roll, pitch, yaw damping of about 10, 6 and 2 1/s."""
 
 # A of Section 4, as printed; columns pq qr pr p^2 r^2 p q r de dr da dth.
 _PRINTED = (
@@ -85,33 +83,26 @@ _PRINTED = (
 )
 
 
-def _paper_printed() -> Vehicle:
-    """Return the coefficients that the paper prints, moved from degrees to SI.
+_TO_SI = np.array([180.0 / np.pi] * 5 + [1.0] * 7)
 
-    The quadratic columns grow by 180 / pi, the others keep their values. They are no
-    rigid body's: A32 is not -A11.
-    """
-    a = np.array(_PRINTED)
-    a[:, :5] *= 180.0 / np.pi
-    return Vehicle("paper_printed", "throttle_coupled", a)
+PAPER_PRINTED = Vehicle("paper_printed", _STRUCTURE.name, np.array(_PRINTED) * _TO_SI)
+"""The coefficients that the paper prints, moved from degrees to SI: no rigid body's, A32 is not
+-A11."""
 
-
-_VEHICLES = {"small_uav": _small_uav, "paper_printed": _paper_printed}
-
-VEHICLE_NAMES = tuple(_VEHICLES)
-"""Names of the plants."""
+VEHICLES = {one.name: one for one in (SMALL_UAV, PAPER_PRINTED)}
+"""The plants by name."""
 
 
 def vehicle(name: str) -> Vehicle:
-    """Return the plant called `name`, one of `VEHICLE_NAMES`."""
-    return _VEHICLES[name]()
+    """Return the plant of that name."""
+    return VEHICLES[name]
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlantFlight(Plan):
     """Flight of a structure plant."""
 
-    vehicle: Vehicle  # The plant
+    vehicle: Vehicle = SMALL_UAV  # The plant
     time_constant: float = 0.0  # First-order lag of the servos, s
     gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis independently
     # Variation of the specific force, m/s^2, on each axis; about (0, 0, -g)

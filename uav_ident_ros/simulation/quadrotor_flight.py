@@ -35,7 +35,7 @@ class Body:
     arm: float = 0.16  # Of each motor from the roll and from the pitch axis, m
     hover: float = 0.5  # Command at which it hovers, 0 ... 1
     torque: float = 0.016  # Rotor torque over thrust, m
-    inflow: float = 0.6  # c of `Quadrotor`, N per m/s, at full speed
+    inflow: float = 0.6  # c of `LiveQuadrotor`, N per m/s, at full speed
     drag: float = 0.25  # Sideways force of all rotors, N per m/s
     time_constant: float = 0.05  # Lag of the motors, s
 
@@ -68,8 +68,26 @@ STILL = (0.0, 0.0, 0.0)
 """No gust."""
 
 
-class Quadrotor:
-    """The state of a quadrotor in flight: four motors that follow their commands with a lag.
+ANGLE_GAIN, RATE_GAIN, YAW_GAIN = 0.3, 0.06, 0.35
+"""Of the autopilot: input per rad and per rad/s of roll and pitch, and per rad/s of yaw."""
+
+HEIGHT_GAIN, SINKING_GAIN = 0.05, 0.08
+"""Collective per m and per m/s."""
+
+
+PARAMETERS = {
+    "structure": "augmented",
+    "fixed_coefficients": ["pdot/ay", "qdot/az", "rdot/ay"],  # no flow angles
+    "actuators.thrust_curve": [1.0] * len(QUADROTOR.names),
+}
+"""Parameters of the identifier that suit it, beside those of its channels."""
+
+AMPLITUDES = dict(zip(INPUTS, (0.02, 0.05, 0.02, 0.03), strict=True))
+"""Peaks of an excitation that moves it well and keeps it near hover."""
+
+
+class LiveQuadrotor(Live):
+    """A quadrotor in flight, commanded as an aircraft is.
 
     A rotor's thrust is ``T = T_max w^2 + c w v_z``, with its speed w as a fraction of the largest
     and the velocity v_z along the body's z axis where it is: a rotor that sinks through the air
@@ -77,17 +95,73 @@ class Quadrotor:
     follows the command, 0 ... 1, with a first-order lag. Rotors drag sideways in proportion to the
     speed. Left out: the rotors' own inertia (it adds to the yaw moment while they speed up), ground
     and blockage.
+
+    Elevator, rudder and aileron stand for pitch, yaw and roll: it mixes them into its motors, and
+    holds its height itself. Parameters are those of `LiveAircraft`. Of a step is kept: rates,
+    specific force, angular acceleration and angles.
     """
 
-    def __init__(self, body: Body) -> None:
-        self.body = body
+    names = QUADROTOR.names
+
+    def __init__(
+        self,
+        sensors: Sensors,
+        delay: float = 0.0,
+        faults: Sequence[Fault] = (),
+        seed: int = 0,
+        rate: float = SIMULATION_RATE,
+        body: Body | None = None,
+        gusts: FloatArray | None = None,  # (N, 3) Angular acceleration of each step, rad/s^2
+    ) -> None:
+        super().__init__(sensors, delay, seed, rate, faults)
+        self.body = body or Body()
         # p q r, rad/s; roll pitch yaw, rad; u v w in body axes, m/s; position below the start, m
         self.state = [0.0] * 10
-        self.speeds = [body.hover] * 4  # Of the motors, 0 ... 1
+        self.speeds = [self.body.hover] * 4  # Of the motors, 0 ... 1
         self.effect = [1.0] * 4  # What is left of each motor's thrust
+        self._gusts = iter(() if gusts is None else gusts.tolist())
+        self.trim = np.array([0.0, 0.0, 0.0, self.body.hover])
+        self._commanded: FloatArray = self.trim[:3]
+        self.outputs = self._acting = QUADROTOR.trim(self.trim)
+        for fault in faults:
+            _motor(fault)
+
+    def apply(self, fault: Fault) -> None:
+        """Let a fault happen now; see `Live.apply`."""
+        if (motor := _motor(fault)) is None:
+            self.effect = [1.0] * len(QUADROTOR.names)
+        else:
+            self.effect[motor] = fault.value or 0.0
+
+    def motors(self, inputs: FloatArray) -> FloatArray:
+        """Motors' commands for de, dr, da, dth, within what they can do."""
+        return np.clip(QUADROTOR.raw(inputs, self.trim), 0.0, 1.0)
+
+    def hold(self) -> FloatArray:
+        """Return de, dr, da, dth that hold attitude and height, as deviations from hover."""
+        p, q, r, roll, pitch, *_, down = self.state
+        return np.array(
+            [
+                ANGLE_GAIN * pitch + RATE_GAIN * q,
+                YAW_GAIN * r,
+                -ANGLE_GAIN * roll - RATE_GAIN * p,
+                HEIGHT_GAIN * down + SINKING_GAIN * self._sinking,
+            ]
+        )
+
+    def _answer(self, surfaces: FloatArray | None) -> FloatArray:
+        self._commanded = self._commanded if surfaces is None else surfaces
+        return self.motors(np.append(self._commanded, self.hold()[3]))
+
+    def _attitude(self) -> Sequence[float]:
+        return self.state[3:6]
+
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        surfaces = QUADROTOR.inputs(np.array(self.speeds), self.trim) + self.trim
+        return np.array(self.state[:3]), np.array(self.loads()[0]), surfaces
 
     @property
-    def sinking(self) -> float:
+    def _sinking(self) -> float:
         """Velocity downwards, m/s."""
         roll, pitch, _, u, v, w, _ = self.state[3:]
         return (
@@ -120,17 +194,12 @@ class Quadrotor:
             (yaw + (ix - iy) * p * q) / iz + gust[2],
         ]
 
-    def step(
-        self, commands: Sequence[float], h: float, gust: Sequence[float]
-    ) -> tuple[list[float], list[float]]:
-        """Go on by `h` s: commands 0 ... 1 of the motors, a gust's angular acceleration, rad/s^2.
-
-        Speeds are exact over the step, the motion is of second order in it. Returns the `loads` at
-        its beginning.
-        """
+    def _fly(self, acting: FloatArray, moved: bool) -> tuple[list[float], ...]:
+        """Speeds are exact over the step, the motion is of second order in it."""
+        h, gust = 1.0 / self.rate, next(self._gusts, STILL)
         state, before = self.state, self.speeds
         decay = math.exp(-0.5 * h / self.body.time_constant)
-        aims = [min(max(c, 0.0), 1.0) for c in commands]
+        aims = [min(max(c, 0.0), 1.0) for c in acting.tolist()]
         loads = self.loads(gust)
         half = self._slopes(*loads)
         self.speeds = [a + (s - a) * decay for s, a in zip(before, aims, strict=True)]
@@ -138,7 +207,7 @@ class Quadrotor:
         whole = self._slopes(*self.loads(gust))
         self.state = [x + h * d for x, d in zip(state, whole, strict=True)]
         self.speeds = [a + (s - a) * decay**2 for s, a in zip(before, aims, strict=True)]
-        return loads
+        return state[:3], *loads, state[3:6]
 
     def _slopes(self, force: list[float], acceleration: list[float]) -> list[float]:
         """Time derivative of the state."""
@@ -152,100 +221,8 @@ class Quadrotor:
             force[0] - GRAVITY * math.sin(pitch) - q * w + r * v,
             force[1] + GRAVITY * math.cos(pitch) * math.sin(roll) - r * u + p * w,
             force[2] + GRAVITY * math.cos(pitch) * math.cos(roll) - p * v + q * u,
-            self.sinking,
+            self._sinking,
         ]
-
-
-ANGLE_GAIN, RATE_GAIN, YAW_GAIN = 0.3, 0.06, 0.35
-"""Of the autopilot: input per rad and per rad/s of roll and pitch, and per rad/s of yaw."""
-
-HEIGHT_GAIN, SINKING_GAIN = 0.05, 0.08
-"""Collective per m and per m/s."""
-
-
-def hold(craft: Quadrotor) -> FloatArray:
-    """Return de, dr, da, dth that hold attitude and height, as deviations from hover."""
-    p, q, r, roll, pitch, *_, down = craft.state
-    return np.array(
-        [
-            ANGLE_GAIN * pitch + RATE_GAIN * q,
-            YAW_GAIN * r,
-            -ANGLE_GAIN * roll - RATE_GAIN * p,
-            HEIGHT_GAIN * down + SINKING_GAIN * craft.sinking,
-        ]
-    )
-
-
-# --- in flight ------------------------------------------------------------------------------------
-
-
-PARAMETERS = {
-    "structure": "augmented",
-    "fixed_coefficients": ["pdot/ay", "qdot/az", "rdot/ay"],  # no flow angles
-    "actuators.thrust_curve": [1.0] * len(QUADROTOR.names),
-}
-"""Parameters of the identifier that suit it, beside those of its channels."""
-
-AMPLITUDES = dict(zip(INPUTS, (0.02, 0.05, 0.02, 0.03), strict=True))
-"""Peaks of an excitation that moves it well and keeps it near hover."""
-
-
-class LiveQuadrotor(Live):
-    """A quadrotor in flight, commanded as an aircraft is.
-
-    Elevator, rudder and aileron stand for pitch, yaw and roll: it mixes them into its motors, and
-    holds its height itself. Parameters are those of `LiveAircraft`. Of a step is kept: rates,
-    specific force, angular acceleration and angles.
-    """
-
-    names = QUADROTOR.names
-
-    def __init__(
-        self,
-        sensors: Sensors,
-        delay: float = 0.0,
-        faults: Sequence[Fault] = (),
-        seed: int = 0,
-        rate: float = SIMULATION_RATE,
-        body: Body | None = None,
-        gusts: FloatArray | None = None,  # (N, 3) Angular acceleration of each step, rad/s^2
-    ) -> None:
-        super().__init__(sensors, delay, seed, rate, faults)
-        self.craft = Quadrotor(body or Body())
-        self._gusts = iter(() if gusts is None else gusts.tolist())
-        self.trim = np.array([0.0, 0.0, 0.0, self.craft.body.hover])
-        self._commanded: FloatArray = self.trim[:3]
-        self.outputs = self._acting = QUADROTOR.trim(self.trim)
-        for fault in faults:
-            _motor(fault)
-
-    def apply(self, fault: Fault) -> None:
-        """Let a fault happen now; see `Live.apply`."""
-        if (motor := _motor(fault)) is None:
-            self.craft.effect = [1.0] * len(QUADROTOR.names)
-        else:
-            self.craft.effect[motor] = fault.value or 0.0
-
-    def motors(self, inputs: FloatArray) -> FloatArray:
-        """Motors' commands for de, dr, da, dth, within what they can do."""
-        return np.clip(QUADROTOR.raw(inputs, self.trim), 0.0, 1.0)
-
-    def _answer(self, surfaces: FloatArray | None) -> FloatArray:
-        self._commanded = self._commanded if surfaces is None else surfaces
-        return self.motors(np.append(self._commanded, hold(self.craft)[3]))
-
-    def _fly(self, acting: FloatArray, moved: bool) -> tuple[list[float], ...]:
-        state, gust = self.craft.state, next(self._gusts, STILL)
-        loads = self.craft.step(acting.tolist(), 1.0 / self.rate, gust)
-        return state[:3], *loads, state[3:6]
-
-    def _attitude(self) -> Sequence[float]:
-        return self.craft.state[3:6]
-
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        craft = self.craft
-        surfaces = QUADROTOR.inputs(np.array(craft.speeds), self.trim) + self.trim
-        return np.array(craft.state[:3]), np.array(craft.loads()[0]), surfaces
 
 
 def _motor(fault: Fault) -> int | None:
@@ -282,7 +259,7 @@ class QuadrotorFlight(Plan):
         )  # fmt: skip
 
         def commanded(_: float, excitation: FloatArray) -> FloatArray:
-            return live.motors(excitation + hold(live.craft))
+            return live.motors(excitation + live.hold())
 
         rows, commands, common = live.record(self, commanded)
         rates, force, acceleration, angles = rows.transpose(1, 0, 2)
@@ -295,7 +272,7 @@ class QuadrotorFlight(Plan):
             trim=live.trim,
             channel_set=QUADROTOR,
             time_constant=self.time_constant,
-            local_truth=live.craft.body.derivatives(),
+            local_truth=live.body.derivatives(),
             parameters=PARAMETERS,
             extra={"gust": gusts, "angles": angles},
             **common,
