@@ -50,13 +50,7 @@ def names(prefix: str = "") -> tuple[str, ...]:
 
 
 def definition(name: str) -> dict[str, Any]:
-    """Return the definition of one flight.
-
-    Raises
-    ------
-    SimulationError
-        If there is none of that name.
-    """
+    """Return the definition of one flight."""
     try:
         return definitions()[name]
     except KeyError:

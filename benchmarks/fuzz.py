@@ -13,13 +13,11 @@ import re
 import resource
 import shutil
 import signal
-import struct
 import sys
 import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +29,7 @@ sys.path[:0] = [str(bench.ROOT / "test"), str(bench.ROOT / "test" / "import_logs
 from blackbox_writing import blackbox  # noqa: E402
 from excerpts import rewritten  # noqa: E402
 from good_logs import COLUMNS, TABLE, plane_log, ulog  # noqa: E402
+from hostile import mutated  # noqa: E402
 from mcap.writer import CompressionType  # noqa: E402
 
 from uav_ident_ros.bags.reading import Bag, BagError  # noqa: E402
@@ -50,7 +49,6 @@ HUNG = 300
 """Time after which a file hangs the reader, s, however busy the machine is."""
 
 SECONDS = 3.0
-NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1)
 
 
 class Outcome(NamedTuple):
@@ -78,75 +76,6 @@ def write_whole(folder: Path) -> dict[str, Path]:
         path = folder / f"{name}.mcap"
         files[name] = rewritten(path, compression=compression, seconds=SECONDS, chunk=50_000)
     return files
-
-
-# --- mutations ------------------------------------------------------------------------------------
-
-
-def mutated(content: bytes, chance: np.random.Generator) -> bytes:
-    """Return a spoilt copy: one to eight changes of a kind drawn at random."""
-    data = bytearray(content)
-    for _ in range(int(chance.integers(1, 9))):
-        change = MUTATIONS[int(chance.integers(len(MUTATIONS)))]
-        at = int(chance.integers(max(len(data), 1)))
-        if chance.random() < 0.3:  # where formats are declared
-            at = min(at, int(chance.integers(1, 3000)))
-        change(data, at, chance)
-    return bytes(data)
-
-
-def _flip(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    data[at : at + 1] = bytes(b ^ 1 << int(chance.integers(8)) for b in data[at : at + 1])
-
-
-def _noise(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    size = int(chance.integers(1, 600))
-    data[at : at + size] = chance.bytes(min(size, len(data) - at))
-
-
-def _zeros(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    size = min(int(chance.integers(1, 5000)), len(data) - at)
-    data[at : at + size] = bytes(size)
-
-
-def _cut_out(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    del data[at : at + int(chance.integers(1, 600))]
-
-
-def _repeat(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    data[at:at] = data[at : at + int(chance.integers(1, 2000))]
-
-
-def _move(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    block = data[at : at + int(chance.integers(1, 2000))]
-    to = int(chance.integers(max(len(data), 1)))
-    data[to : to + len(block)] = block
-
-
-def _number(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    size = int(chance.choice([1, 2, 4, 8]))
-    number = NUMBERS[int(chance.integers(len(NUMBERS)))] % 256**size
-    data[at : at + size] = number.to_bytes(size, "little")
-
-
-def _float(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    value = float(chance.choice([np.nan, np.inf, -np.inf, 1e300, -1.0, 5e-324]))
-    data[at : at + 8] = struct.pack("<d", value)
-
-
-def _truncate(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    if chance.random() < 0.3:
-        del data[at:]
-
-
-def _text(data: bytearray, at: int, chance: np.random.Generator) -> None:
-    data[at : at + 4] = chance.choice([b"1e999", b"-1", b",,,,", b"\n", b'"', b"\xff\xfe", b"nan"])
-
-
-MUTATIONS: tuple[Callable[[bytearray, int, np.random.Generator], None], ...] = (
-    _flip, _flip, _noise, _zeros, _cut_out, _repeat, _move, _number, _number, _float, _truncate,
-    _text,
-)  # fmt: skip
 
 
 # --- reading --------------------------------------------------------------------------------------

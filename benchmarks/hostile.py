@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hostile messages and parameters: what no publisher should send, and some will."""
+"""Hostile messages, parameters and bytes: what nobody should send or keep, and some will."""
 
 import math
 import random
@@ -7,6 +7,8 @@ import struct
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
+
+import numpy as np
 
 SECOND_NS = 1_000_000_000
 
@@ -85,7 +87,8 @@ class Hostile:
                 spoil_form(message, self._chance)
                 return bytes(serialize_message(message))
             case _:
-                return spoil_bytes(bytes(serialize_message(message)), self._chance)
+                data = bytes(serialize_message(message))
+                return mutated(data, np.random.default_rng(self._chance.getrandbits(32)))
 
 
 def example(kind: type) -> Any:
@@ -138,24 +141,6 @@ def spoil_form(message: Any, chance: random.Random) -> None:
         message.linear_acceleration_covariance[0] = chance.choice((-1.0, 0.0))
 
 
-def spoil_bytes(data: bytes, chance: random.Random) -> bytes:
-    """Cut, lengthen or change the bytes of a message, or take others."""
-    match chance.randrange(5):
-        case 0:
-            return data[: chance.randrange(4, len(data) + 1)]
-        case 1:
-            return data + chance.randbytes(chance.randrange(1, 100))
-        case 2:
-            changed = bytearray(data)
-            for _ in range(chance.randrange(1, 9)):
-                changed[chance.randrange(len(data))] = chance.randrange(256)
-            return bytes(changed)
-        case 3:
-            return data[:4] + chance.randbytes(chance.randrange(400))
-        case _:
-            return chance.randbytes(4) + data[4:]
-
-
 def parameter(chance: random.Random) -> Any:
     """Return a parameter of some name with some value, right or wrong."""
     from rclpy.parameter import Parameter
@@ -172,3 +157,72 @@ def parameter(chance: random.Random) -> Any:
     )  # fmt: skip
     name = setting.name if chance.random() < 0.95 else chance.choice(("no.such", "use_sim_timer"))
     return Parameter(name, value=value).to_parameter_msg()
+
+
+INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1)
+
+
+def mutated(content: bytes, chance: np.random.Generator) -> bytes:
+    """Return a spoilt copy: one to eight changes of a kind drawn at random."""
+    data = bytearray(content)
+    for _ in range(int(chance.integers(1, 9))):
+        change = MUTATIONS[int(chance.integers(len(MUTATIONS)))]
+        at = int(chance.integers(max(len(data), 1)))
+        if chance.random() < 0.3:  # where formats are declared
+            at = min(at, int(chance.integers(1, 3000)))
+        change(data, at, chance)
+    return bytes(data)
+
+
+def _flip(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    data[at : at + 1] = bytes(b ^ 1 << int(chance.integers(8)) for b in data[at : at + 1])
+
+
+def _noise(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    size = int(chance.integers(1, 600))
+    data[at : at + size] = chance.bytes(min(size, len(data) - at))
+
+
+def _zeros(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    size = min(int(chance.integers(1, 5000)), len(data) - at)
+    data[at : at + size] = bytes(size)
+
+
+def _cut_out(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    del data[at : at + int(chance.integers(1, 600))]
+
+
+def _repeat(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    data[at:at] = data[at : at + int(chance.integers(1, 2000))]
+
+
+def _move(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    block = data[at : at + int(chance.integers(1, 2000))]
+    to = int(chance.integers(max(len(data), 1)))
+    data[to : to + len(block)] = block
+
+
+def _number(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    size = int(chance.choice([1, 2, 4, 8]))
+    number = INTEGERS[int(chance.integers(len(INTEGERS)))] % 256**size
+    data[at : at + size] = number.to_bytes(size, "little")
+
+
+def _float(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    value = float(chance.choice([np.nan, np.inf, -np.inf, 1e300, -1.0, 5e-324]))
+    data[at : at + 8] = struct.pack("<d", value)
+
+
+def _truncate(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    if chance.random() < 0.3:
+        del data[at:]
+
+
+def _text(data: bytearray, at: int, chance: np.random.Generator) -> None:
+    data[at : at + 4] = chance.choice([b"1e999", b"-1", b",,,,", b"\n", b'"', b"\xff\xfe", b"nan"])
+
+
+MUTATIONS: tuple[Callable[[bytearray, int, np.random.Generator], None], ...] = (
+    _flip, _flip, _noise, _zeros, _cut_out, _repeat, _move, _number, _number, _float, _truncate,
+    _text,
+)  # fmt: skip

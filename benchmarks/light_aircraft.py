@@ -60,7 +60,6 @@ class LightFlight(Plan):
     actuator_rate: float = 50.0
     bank: float = 0.0  # Bank angle of alternating turns, deg
     gust: float = 0.0  # Wind on each axis, m/s rms
-    time_constant: float = 0.0  # First-order lag of the servos, s
     # Largest deflection of a surface, rad: commands beyond it are without effect
     travel: float = math.inf
     yaw_damper: float = 0.15  # Rudder per rad/s of yaw rate
@@ -89,7 +88,6 @@ class LightFlight(Plan):
             specific_force=rows[:, 12:15],
             inputs=commands,
             trim=np.array(DEFAULT_TRIM),
-            time_constant=self.time_constant,
             changes=self.changes,
             local_truth=dict(self.derivatives),
             airspeed=speed,

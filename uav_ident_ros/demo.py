@@ -133,15 +133,7 @@ def play(
     messages: list[Message],  # Of these topics, in log-time order
     speed: float,  # Times real time
 ) -> bool:
-    """Play a flight to a node and show what it publishes; return whether it published.
-
-    Raises
-    ------
-    PlayerError
-        If the node does not answer.
-    KeyboardInterrupt
-        If a signal asks for the end.
-    """
+    """Play a flight to a node and show what it publishes; return whether it published."""
     ending = Ending()
     with contextlib.ExitStack() as open_:
         open_.callback(ending.restore)

@@ -149,13 +149,7 @@ def _surface_ranges(name: str, rate: float) -> FloatArray:
 
 
 class Aircraft:
-    """JSBSim aircraft in trimmed flight: takes surfaces, gives signals.
-
-    Raises
-    ------
-    SimulationError
-        If JSBSim is not installed, or has no such aircraft, or cannot trim it.
-    """
+    """JSBSim aircraft in trimmed flight: takes surfaces, gives signals."""
 
     def __init__(
         self,
@@ -354,13 +348,7 @@ def linearise_cruise(
     name: str,  # As in `uav_ident_ros.simulation.airframe`
     speed: float | None = None,  # True airspeed in place of its own, m/s
 ) -> Linearisation:
-    """Linearise an aircraft in steady, calm flight.
-
-    Raises
-    ------
-    SimulationError
-        If it cannot be flown.
-    """
+    """Linearise an aircraft in steady, calm flight."""
     aircraft = Aircraft(name, SIMULATION_RATE, speed)
     settle(aircraft)
     return linearise(aircraft)

@@ -63,11 +63,6 @@ class Airframe:
         """Return the same at another true airspeed, m/s.
 
         Surfaces act with its square: the gains and the excitation are scaled by as much.
-
-        Raises
-        ------
-        SimulationError
-            If it is not positive.
         """
         if not 0.0 < speed < math.inf:
             raise SimulationError(f"speed is {speed}: it must be positive, m/s")
@@ -88,13 +83,7 @@ def airframe(
     name: str,  # One of `airframe_names`, or a path that ends in ``.yaml``
     speed: float | None = None,  # True airspeed in place of its own, m/s
 ) -> Airframe:
-    """Return an aircraft by name, or by the path of its file.
-
-    Raises
-    ------
-    SimulationError
-        If there is none, or its file is wrong; the message says what would be right.
-    """
+    """Return an aircraft by name, or by the path of its file."""
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
     if not name.endswith(SUFFIX) and name not in airframe_names():
         raise SimulationError(
@@ -137,13 +126,7 @@ def build(
     # Fields that are dataclasses themselves, or sequences of them, with what one is called
     nested: Mapping[str, tuple[Any, str]] | None = None,
 ) -> Any:
-    """Build a dataclass from a mapping.
-
-    Raises
-    ------
-    SimulationError
-        If it is none, a name is no field of it, or a field without a default is missing.
-    """
+    """Build a dataclass from a mapping."""
     optional = [f.name for f in fields(cls) if {f.default, f.default_factory} != {MISSING}]
     needed = [f.name for f in fields(cls) if f.name not in optional]
     try:

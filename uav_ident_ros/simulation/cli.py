@@ -128,13 +128,7 @@ def _add_numbers(group: argparse._ArgumentGroup, options: Mapping[str, Option]) 
 
 
 def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
-    """Return the flight that the options ask for, and what measures it.
-
-    Raises
-    ------
-    SimulationError
-        If it cannot be flown or measured.
-    """
+    """Return the flight that the options ask for, and what measures it."""
     kind, peaks, own = _vehicle_part(options)
     peaks = dict(zip(INPUTS, options.amplitude, strict=True)) if options.amplitude else peaks
     plan = kind(

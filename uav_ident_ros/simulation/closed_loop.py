@@ -133,13 +133,7 @@ class ClosedLoop:
         return self.processes[name].log
 
     def wait(self, timeout: float) -> dict[str, FloatArray]:
-        """Wait until the plant has landed, or the aircraft is lost; return its record.
-
-        Raises
-        ------
-        SimulationError
-            If a process ends too soon or the flight takes longer than `timeout` seconds.
-        """
+        """Wait until the plant has landed, or the aircraft is lost; return its record."""
         end = time.monotonic() + timeout
         plant = self.processes["simulated_plant"]
         while plant.poll() is None:

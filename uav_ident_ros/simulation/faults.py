@@ -74,13 +74,7 @@ class Fault:
 
 
 def parse_fault(text: str) -> Fault:
-    """Read a command, with or without a time.
-
-    Raises
-    ------
-    SimulationError
-        If it is none; the message says what would be.
-    """
+    """Read a command, with or without a time."""
     before, colon, command = text.rpartition(":")
     words = command.split()
     try:
@@ -121,11 +115,6 @@ def add_ballast(fdm: Any, axis: str, factor: float) -> None:
 
     JSBSim computes the inertias itself and silently ignores a write to them; so empty point
     masses are loaded, and what they did is read back.
-
-    Raises
-    ------
-    SimulationError
-        If all ballasts are in use, or the inertia is not what it should be.
     """
     direction, name = BALLAST_AXES[axis]
     wanted = factor * fdm[name]
@@ -139,13 +128,7 @@ def add_ballast(fdm: Any, axis: str, factor: float) -> None:
 
 
 def move_centre(fdm: Any, share: float) -> None:
-    """Move the centre of gravity aft by a share of the mean chord, with one mass well aft.
-
-    Raises
-    ------
-    SimulationError
-        If all ballasts are in use, or JSBSim's own centre of gravity is not where it should be.
-    """
+    """Move the centre of gravity aft by a share of the mean chord, with one mass well aft."""
     before, wanted = fdm["inertia/cg-x-in"], share * fdm["metrics/cbarw-ft"]
     weight = CENTRE_BALLAST * fdm["inertia/weight-lbs"]
     _load(fdm, "X", (wanted * (1.0 + CENTRE_BALLAST) / CENTRE_BALLAST,), weight)

@@ -15,7 +15,10 @@ from uav_ident_ros.simulation.channels import PLAIN, ChannelSet
 
 
 class SimulationError(ValueError):
-    """A flight cannot be simulated as asked; the message names what and why."""
+    """A flight cannot be simulated as asked; the message names what, why, and what would be right.
+
+    Whatever reads, prepares, flies or measures something here may raise it.
+    """
 
 
 IntArray = NDArray[np.int64]
@@ -34,13 +37,7 @@ def stamps(seconds: FloatArray) -> IntArray:
 
 
 def whole_steps(time: float, rate: float, what: str) -> int:
-    """Return how many simulation steps a time (s) has, at a rate (Hz).
-
-    Raises
-    ------
-    SimulationError
-        If it is no whole number of them; the message names `what`.
-    """
+    """Return how many simulation steps a time (s) has, at a rate (Hz); `what` names it."""
     steps = time * rate
     if not (steps >= 0.0 and abs(steps - round(steps)) < STEP_TOLERANCE * max(1.0, steps)):
         raise SimulationError(f"{what} is no whole number of simulation steps of {1e3 / rate:g} ms")

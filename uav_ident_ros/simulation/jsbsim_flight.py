@@ -124,7 +124,6 @@ class AircraftFlight(Plan):
     turbulence: int = 0  # JSBSim's MIL-F-8785C severity, 0 (calm) to 7
     faults: Sequence[Fault] = ()  # Those that come at a time of their own
     speed: float | None = None  # True airspeed, m/s; None for the aircraft's own
-    time_constant: float = 0.0  # First-order lag of the surfaces, s
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -170,7 +169,6 @@ class AircraftFlight(Plan):
             specific_force=rows[:, 6:9],
             inputs=commands - live.trim,
             trim=np.array(live.trim),
-            time_constant=self.time_constant,
             # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
             local_truth=cruise_derivatives(self.aircraft, round(float(airspeed.mean()), 1)),
             airspeed=airspeed,

@@ -61,11 +61,13 @@ class Plan:
     actuator_rate: float = 100.0  # Rate of the commands, Hz; each is held until the next
     delay: float = 0.0  # From recorded command to surface or motor, s
     seed: int = 0  # Seed of the disturbances
+    time_constant: float = 0.0  # First-order lag of the surfaces or motors, s
 
     def __post_init__(self) -> None:
         check_positive(self, "duration", "rate", "actuator_rate")
-        if not 0.0 <= self.delay < math.inf:
-            raise SimulationError(f"delay is {self.delay} s: it must be 0 or more")
+        for name in ("delay", "time_constant"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise SimulationError(f"{name} is {getattr(self, name)} s: it must be 0 or more")
         if self.samples < 2:
             raise SimulationError(
                 f"a duration of {self.duration} s holds no two samples at {self.rate} Hz"
@@ -80,24 +82,12 @@ class Plan:
         self,
         name: str = "",  # Name of the result; the vehicle's by default
     ) -> Flight:
-        """Fly it.
-
-        Raises
-        ------
-        SimulationError
-            If the flight is impossible as planned, or the vehicle is lost.
-        """
+        """Fly it."""
         raise NotImplementedError
 
 
 class Live:
-    """A vehicle in flight; what it is like is up to its kinds.
-
-    Raises
-    ------
-    SimulationError
-        If it cannot be flown, or a rate or the delay is no whole number of simulation steps.
-    """
+    """A vehicle in flight; what it is like is up to its kinds."""
 
     names: tuple[str, ...]  # Names of the `outputs`
     # (4,) Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in
@@ -124,13 +114,7 @@ class Live:
         self._underway: deque[tuple[int, FloatArray]] = deque()
 
     def apply(self, fault: Fault) -> None:
-        """Let a fault happen now.
-
-        Raises
-        ------
-        SimulationError
-            If this vehicle cannot have it.
-        """
+        """Let a fault happen now, or refuse one that this vehicle cannot have."""
         raise NotImplementedError
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
@@ -187,13 +171,7 @@ class Live:
                 )
 
     def advance(self) -> list[Fault]:
-        """Fly on to the next sample; return the faults that came at their time.
-
-        Raises
-        ------
-        SimulationError
-            If it is lost.
-        """
+        """Fly on to the next sample; return the faults that came at their time."""
         ahead = list(self._ahead)
         self._advance_step(moved=True)  # a fault at once may have moved them
         for _ in range(1, self._substeps):
@@ -209,16 +187,8 @@ class Live:
     ) -> tuple[FloatArray, FloatArray, dict[str, Any]]:
         """Fly on and keep everything.
 
-        Returns
-        -------
-        (N, ...) array, (M, C) array, dict
-            The rows of all samples, the outputs of all intervals, and what a `Flight` has of any
-            vehicle.
-
-        Raises
-        ------
-        SimulationError
-            If it is lost.
+        Returns the rows of all samples, the outputs of all intervals, and what a `Flight` has of
+        any vehicle.
         """
         every = round(self.rate / plan.rate)
         count = (plan.samples - 1) * every + 1
@@ -240,6 +210,7 @@ class Live:
             "actuator_t_ns": stamps(times),
             "injected": excitation,
             "delay": plan.delay,
+            "time_constant": plan.time_constant,
             "excitation": excited_intervals(plan.segments, (plan.samples - 1) / plan.rate),
         }
         return np.array(rows), np.array(commands), common

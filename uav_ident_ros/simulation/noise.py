@@ -163,13 +163,7 @@ def measure(
     # that switching one on or another Imu rate does not change the others
     seed: int = 0,
 ) -> Measurements:
-    """Measure a flight.
-
-    Raises
-    ------
-    SimulationError
-        If the Imu rate is no whole fraction of the flight's rate.
-    """
+    """Measure a flight."""
     sensors = sensors or Sensors()
     every = _decimation(flight, sensors)
     gyro, accelerometer, drops, jitter, delays, pitot = (

@@ -103,7 +103,6 @@ class PlantFlight(Plan):
     """Flight of a structure plant."""
 
     vehicle: Vehicle = SMALL_UAV  # The plant
-    time_constant: float = 0.0  # First-order lag of the servos, s
     gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis independently
     # Variation of the specific force, m/s^2, on each axis; about (0, 0, -g)
     force: ColouredNoise = CALM
@@ -119,8 +118,6 @@ class PlantFlight(Plan):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_positive(self, "max_step")
-        if not 0.0 <= self.time_constant < math.inf:
-            raise SimulationError(f"time_constant is {self.time_constant} s: it must be 0 or more")
 
     @property
     def substeps(self) -> int:
@@ -152,7 +149,6 @@ class PlantFlight(Plan):
             specific_force=force,
             inputs=commands,
             trim=np.asarray(self.trim, dtype=np.float64),
-            time_constant=self.time_constant,
             structure=self.vehicle.structure,
             coefficients=np.asarray(self.vehicle.coefficients, dtype=np.float64),
             changes=self.changes,

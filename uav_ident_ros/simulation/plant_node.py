@@ -106,13 +106,7 @@ RECORDED = (
 
 
 class PlantNode(Node):
-    """The node: an aircraft, its messages, and the waiting for the others.
-
-    Raises
-    ------
-    SimulationError
-        If the aircraft or a fault is not possible.
-    """
+    """The node: an aircraft, its messages, and the waiting for the others."""
 
     def __init__(self, ending: Ending) -> None:
         super().__init__("simulated_plant")
@@ -212,13 +206,7 @@ class PlantNode(Node):
     # -- flying ----------------------------------------------------------------------------
 
     def fly(self) -> None:
-        """Fly until `duration` is over.
-
-        Raises
-        ------
-        SimulationError
-            If the aircraft is lost, or nobody appears to fly it.
-        """
+        """Fly until `duration` is over."""
         if self._lock_step:
             self._wait_for_everyone()
         else:

@@ -60,13 +60,7 @@ def prepare(
     speed: float | None = None,  # True airspeed in place of its own, m/s
     time: float = EXCITED_TIME,  # Length of the flight that identifies it, s
 ) -> Prepared:
-    """Trim, excite and identify an aircraft.
-
-    Raises
-    ------
-    SimulationError
-        If it cannot be flown or identified.
-    """
+    """Trim, excite and identify an aircraft."""
     frame = airframe(name, speed)
     segment = Segment("multisine", start=2.0, amplitudes=frame.excitation)
     flight = AircraftFlight((segment,), time, aircraft=name, speed=speed).fly()

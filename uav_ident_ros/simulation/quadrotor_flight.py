@@ -11,7 +11,7 @@ from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import Fault
-from uav_ident_ros.simulation.flight import Flight, SimulationError, check_positive
+from uav_ident_ros.simulation.flight import Flight, SimulationError
 from uav_ident_ros.simulation.inputs import CALM, ColouredNoise
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
@@ -245,10 +245,6 @@ class QuadrotorFlight(Plan):
     time_constant: float = Body.time_constant  # Lag of the motors, s
     gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_positive(self, "time_constant")
-
     def fly(self, name: str = NAME) -> Flight:
         """Fly it; see `Plan.fly`."""
         rng = np.random.default_rng([self.seed, 0])
@@ -271,7 +267,6 @@ class QuadrotorFlight(Plan):
             inputs=QUADROTOR.inputs(commands, live.trim),
             trim=live.trim,
             channel_set=QUADROTOR,
-            time_constant=self.time_constant,
             local_truth=live.body.derivatives(),
             parameters=PARAMETERS,
             extra={"gust": gusts, "angles": angles},

@@ -60,10 +60,7 @@ def write_bag(
 ) -> None:
     """Write a measured flight as a bag, with `identifier.yaml` and `truth.yaml` beside it.
 
-    Raises
-    ------
-    BagWriteError
-        If the folder exists or cannot be written; nothing half-written stays behind.
+    If it cannot be written nothing stays behind.
     """
     with whole(Path(path)) as folder:
         with BagWriter(folder, compress) as bag:
