@@ -262,35 +262,18 @@ def identify(
     )
 
 
-@dataclass(frozen=True)
-class Fits:
-    """Fits over the last 40 % of a flight, percent, of p, q, r."""
-
-    # model, hold: (3,) Of the free prediction over 1 s and of holding the rate, against the
-    # measured rates
-    model: FloatArray
-    hold: FloatArray
-    free: FloatArray  # (H, 3) Of the free prediction over each of `HORIZONS`
-    measured_force: FloatArray  # (3,) Of the model with measured forces; NaN without them
-    truth: FloatArray  # (3,) As `given_force` against the noise-free rates; NaN if unknown
-
-
-def given_force(fit: Fits | PredictionFit) -> FloatArray:
+def given_force(fit: PredictionFit) -> FloatArray:
     """Return the fit with measured forces where there is one, else the free one."""
     return np.where(np.isnan(fit.measured_force), fit.model, fit.measured_force)
 
 
-def score(case: Case, track: Track) -> Fits:
-    """Score a track as replay does: each window with the delay that was in use."""
-    rates, force = case.measured(track.settings)
-    found = _fit(case, track, rates, force)
-    truth = np.full(3, np.nan)
-    if isinstance(case.samples, Measurements):
-        truth = given_force(_fit(case, track, case.samples.true_rates, force))
-    return Fits(found.model, found.hold, found.free, found.measured_force, truth)
+def score(case: Case, track: Track, rates: FloatArray | None = None) -> PredictionFit:
+    """Score a track as replay does, over the last 40 %: each window with the delay then in use.
 
-
-def _fit(case: Case, track: Track, rates: FloatArray, force: FloatArray) -> PredictionFit:
+    Against the measured rates, or others at the same times, (N, 3).
+    """
+    measured, force = case.measured(track.settings)
+    rates = measured if rates is None else rates
     actuators, m = track.settings.actuators, case.samples
     u = InputMap(actuators).apply(m.actuators)
     first, last = int(m.imu_t_ns[0]), int(m.imu_t_ns[-1])

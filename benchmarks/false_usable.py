@@ -140,17 +140,13 @@ def run(trial: Trial, structure_name: str) -> Outcome:
     sigma = np.array([e.sigma for e in estimates])
     usable = np.array([e.usable_rows for e in estimates], dtype=bool)
     reasons = [e.reason for e in estimates]
-    true = [] if flight is None else [verdict_flights.truth(flight, t) for t in time]
+    true = [{} if flight is None else verdict_flights.truth(flight, t) for t in time]
     wrong = np.zeros(len(time), dtype=bool)
     wrong_sign = wrong.copy()
     last = {}
     for row, name in enumerate(MAIN):
-        if flight is None:
-            i, j = structure.index(name)
-            last[name] = (float(values[-1, i, j]), float(sigma[-1, i, j]), float("nan"))
-            continue
         value, spread = whole(structure, true[0], name, values, sigma)
-        truth = np.array([at[name] for at in true])
+        truth = np.array([at.get(name, np.nan) for at in true])
         far, sign = judge(value, spread, truth)
         wrong |= usable[:, row] & far
         wrong_sign |= usable[:, row] & sign
@@ -195,7 +191,7 @@ def _coverage(
     """Share of the errors within one and two sigma, once a second, where something is known."""
     chosen = np.flatnonzero(time >= START)[::20]
     ratios = [np.zeros(0)]
-    for name in true[0] if true else ():
+    for name in true[0]:
         if name not in structure.names or name.startswith(("ay", "az")):
             continue
         value, spread = whole(structure, true[0], name, values[chosen], sigma[chosen])

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """One online pass beside an offline fit: ``python benchmarks/free_output_error.py [FLIGHT ...]``.
 
-``--hold qdot/pp=0`` keeps a coefficient of the offline fit at a value.
-
 The offline fit minimises what is scored: the free prediction over 5 s, of windows in the first 60 %
 of the flight, by `scipy.optimize.least_squares`, with the structure, the prior and the flow states
 of the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q / r.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 import bench
 import cases
@@ -91,13 +88,10 @@ def predicted(a: FloatArray, flown: Windows) -> FloatArray:
     return np.nan_to_num(np.clip(np.array(out), -LARGEST, LARGEST), nan=LARGEST)
 
 
-def fit(case: cases.Case, track: cases.Track, held: Mapping[str, float]) -> FloatArray:
+def fit(case: cases.Case, track: cases.Track) -> FloatArray:
     """Fit the structure of an online pass offline, (7, n), from what the pass had learned then."""
     start, flown = start_from(track.settings), windows(case, track)
-    free = start.free.copy()
-    for name, value in held.items():
-        free[track.structure.index(name)] = False
-        start.values[track.structure.index(name)] = value
+    free = start.free
     weight = 1.0 / flown.x.std(axis=(0, 2))
 
     def residuals(thetas: FloatArray) -> FloatArray:
@@ -122,11 +116,11 @@ def fit(case: cases.Case, track: cases.Track, held: Mapping[str, float]) -> Floa
     return coefficients
 
 
-def row(flight: str, held: Mapping[str, float]) -> str:
+def row(flight: str) -> str:
     """One row of the table."""
     case = cases.load(flight)
     track = cases.identify(case, {"structure": "flight_dynamics"})
-    offline = track.constant(fit(case, track, held))
+    offline = track.constant(fit(case, track))
     both = [cases.score(case, t).free for t in (track, offline)]
     cells = [f"{triple(online)} | {triple(fitted)}" for online, fitted in zip(*both, strict=True)]
     return f"| {flight} | " + " | ".join(cells) + f" | {(both[0] - both[1]).min():.1f} |"
@@ -136,12 +130,10 @@ def main() -> None:
     """Print the table."""
     parser = bench.parser(__doc__, workers=2)
     parser.add_argument("flights", nargs="*", metavar="FLIGHT")
-    parser.add_argument("--hold", nargs="*", default=[], metavar="NAME=VALUE")
     options = parser.parse_args()
-    held = {name: float(value) for name, _, value in (h.partition("=") for h in options.hold)}
     print("| flight | 1 s, online | offline | 3 s | offline | 5 s | offline | worst |")
     print("|---|---|---|---|---|---|---|---|")
-    bench.done(partial(row, held=held), options.flights or FLIGHTS, options.workers)
+    bench.done(row, options.flights or FLIGHTS, options.workers)
 
 
 if __name__ == "__main__":

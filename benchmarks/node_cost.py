@@ -106,7 +106,7 @@ def cpu_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_SECOND
 
 
-def measure(imu_rate: float, seconds: float, parameters: list[str]) -> tuple[str, ...]:
+def measure(imu_rate: float, seconds: float) -> tuple[str, ...]:
     """Run node and publisher and measure for `seconds`; return the row of the table."""
     from uav_ident_ros.player import Player
 
@@ -119,7 +119,6 @@ def measure(imu_rate: float, seconds: float, parameters: list[str]) -> tuple[str
         "actuators.type": "sensor_msgs/msg/JointState",
         "actuators.channels": "[elevator, rudder, aileron, throttle]",
         "actuators.trim": "[0.0, 0.0, 0.0, 0.5]",
-        **dict(parameter.split(":=", 1) for parameter in parameters),
     }
     node = NodeProcess("uav_ident_ros.node", Path(os.environ["ROS_HOME"]) / "node.log", values)
     player = Player({}, clock=False)
@@ -203,7 +202,6 @@ def main() -> None:
 
     parser = bench.parser(__doc__, seconds=60.0)
     parser.add_argument("--rates", type=float, nargs="+", default=[200.0, 500.0, 1000.0])
-    parser.add_argument("--parameter", action="append", default=[], metavar="NAME:=VALUE")
     parser.add_argument("--hour", action="store_true", help="memory over an hour of flight")
     options = parser.parse_args()
     with own_domain(), tempfile.TemporaryDirectory() as logs:
@@ -212,10 +210,9 @@ def main() -> None:
             for minute, memory in memory_over_an_hour(Path(logs)):
                 print(f"{minute:3d} min of flight: {memory:.1f} MB", flush=True)
             return
-        given = ", ".join(options.parameter) or "default parameters"
-        print(f"flight {FLIGHT}, {options.seconds:g} s per rate, actuators at 50 Hz, {given}")
+        print(f"flight {FLIGHT}, {options.seconds:g} s per rate, actuators at 50 Hz")
         print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} at the start")
-        rows = (measure(rate, options.seconds, options.parameter) for rate in options.rates)
+        rows = (measure(rate, options.seconds) for rate in options.rates)
         for line in bench.table(COLUMNS, rows):
             print(line, flush=True)
 

@@ -32,8 +32,9 @@ WINDOW = 1.0
 TRAINING_PART = 0.6
 """Share of the flight that is fitted."""
 
-REWEIGHTINGS = 2
-"""Fits; after each the axes are weighted anew by their residuals."""
+REWEIGHTINGS, EVALUATIONS = 2, 40
+"""Fits, after each of which the axes are weighted anew by their residuals, and evaluations in each
+at most."""
 
 STATE_STEP = 1e-4
 """Step of the difference quotient in an initial rate, rad/s."""
@@ -72,12 +73,9 @@ def simulate(
     x0: FloatArray,  # (3, P, W) Initial rates
     windows: Windows,  # Measured inputs and specific forces
 ) -> FloatArray:
-    """Run models through windows: Runge-Kutta of order 4, inputs held over the cells.
+    """Return the rates that models have at the edges of windows, shape (m + 1, 3, P, W).
 
-    Returns
-    -------
-    (m + 1, 3, P, W) array
-        Rates at the edges.
+    Runge-Kutta of order 4, inputs held over the cells.
     """
     drives = ((*_drive(a, windows, k), windows.h) for k in range(len(windows.u)))
     out = [x0.copy()]
@@ -207,19 +205,11 @@ def fit(
     case: Case,  # The flight
     settings: Settings,  # Structure, fixed coefficients, delay and lag
     starts: Sequence[FloatArray],  # (3, n) Coefficients to start from; the best fit of all counts
-    part: float = TRAINING_PART,  # Share of the flight to fit
-    max_evaluations: int = 40,  # Evaluations of each fit at most
 ) -> FloatArray:
-    """Fit the structure of the settings to the first part of a flight.
-
-    Returns
-    -------
-    (3, n) array
-        The coefficients.
-    """
+    """Return the coefficients of the settings' structure, (3, n), fitted to `TRAINING_PART`."""
     free = start_from(settings).free
     first, last = float(case.samples.imu_t_ns[0]), float(case.samples.imu_t_ns[-1])
-    windows = cut_windows(case.blocks(settings), first, first + part * (last - first))
+    windows = cut_windows(case.blocks(settings), first, first + TRAINING_PART * (last - first))
     outcomes = []
     for start in starts:
         problem = Problem(free, windows)
@@ -229,9 +219,8 @@ def fit(
                 problem.residual,
                 theta,
                 problem.jacobian,
-                method="trf",
                 x_scale="jac",
-                max_nfev=max_evaluations,
+                max_nfev=EVALUATIONS,
                 xtol=1e-6,
                 ftol=1e-6,
             )

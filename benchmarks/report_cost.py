@@ -25,6 +25,9 @@ from uav_ident_ros.simulation.cli import main as simulate
 LOOK = 0.05
 """Interval at which the memory of a process is read, s."""
 
+ROUNDS = 3
+"""Times that a page is opened: the quickest counts."""
+
 RAW = "import sys; from rosbags.rosbag2 import Reader\nfor _ in Reader(sys.argv[1]).__enter__()"
 RAW += ".messages(): pass"
 
@@ -59,7 +62,7 @@ def opening(page: Path, profile: Path) -> tuple[float, ...]:
     return tuple(found)
 
 
-def rows(minutes: float, folder: Path, rounds: int) -> str:
+def rows(minutes: float, folder: Path) -> str:
     """Measure a flight of a length; return its row."""
     bag, output = folder / "flight", folder / "output"
     arguments = ["--output", str(bag), "--duration", str(60.0 * minutes)]
@@ -71,7 +74,7 @@ def rows(minutes: float, folder: Path, rounds: int) -> str:
     seconds, memory = cost([*replay, *own])
     page = output / "report.html"
     size = page.stat().st_size / 1e6
-    drawn = [opening(page, folder / f"profile{k}") for k in range(rounds)] if CHROMIUM else []
+    drawn = [opening(page, folder / f"profile{k}") for k in range(ROUNDS)] if CHROMIUM else []
     opened = "".join(f"{v:>10.1f}" for v in min(drawn)) if drawn else "  no Chromium"
     return (
         f"{minutes:>7g}{raw_time:>10.1f}{raw_memory:>8.0f}{seconds:>12.1f}{memory:>8.0f}"
@@ -81,7 +84,7 @@ def rows(minutes: float, folder: Path, rounds: int) -> str:
 
 def main() -> None:
     """Measure and print."""
-    parser = bench.parser(__doc__, rounds=3)
+    parser = bench.parser(__doc__)
     parser.add_argument("--minutes", type=float, nargs="+", default=[10.0, 60.0])
     options = parser.parse_args()
     print(
@@ -91,7 +94,7 @@ def main() -> None:
     )
     for minutes in options.minutes:
         with tempfile.TemporaryDirectory() as folder:
-            print(rows(minutes, Path(folder), options.rounds), flush=True)
+            print(rows(minutes, Path(folder)), flush=True)
 
 
 if __name__ == "__main__":

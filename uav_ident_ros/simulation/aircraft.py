@@ -341,7 +341,6 @@ class Linearisation:
     # surfaces, and by the inputs at fixed states; ``betadot/p`` without the model's own p alpha
     derivatives: dict[str, float]
     airspeed: float  # True, m/s
-    alpha: float  # Angle of attack, rad
 
 
 def linearise_cruise(
@@ -407,7 +406,7 @@ def linearise(aircraft: Aircraft) -> Linearisation:
     }
     # The model's own term p alpha counts alpha from where az vanishes; the rest is the coefficient.
     derivatives["betadot/p"] -= base["fz"] / derivatives["az/alpha"]
-    return Linearisation(derivatives, base["airspeed"], base["alpha"])
+    return Linearisation(derivatives, base["airspeed"])
 
 
 def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> Signals:
