@@ -73,8 +73,6 @@ def _cell(case: cases.Case, structure: str, method: str, track: cases.Track) -> 
     if isinstance(case.samples, Measurements):
         fits["truth"] = cases.given_force(cases.score(case, track, case.samples.true_rates))
     return {
-        "flight": case.name,
-        "seed": case.seed,
         "structure": structure,
         "method": method,
         **{kind: fit.tolist() for kind, fit in fits.items()},
@@ -102,7 +100,8 @@ def run_flight(job: tuple[str, int | None]) -> list[Cell]:
         values = {**cases.MODELS["+ ay, az"], "actuators.estimate_delay": True}
         track = cases.identify(case, {**values, "actuators.delay": 0.0})
         out.append(_cell(case, "+ ay, az", "instrumental_variable, delay estimated", track))
-    return out
+    flown = dict(zip(("flight", "seed"), job, strict=True))
+    return [flown | cell for cell in out]
 
 
 def _run_structure(case: cases.Case, label: str, values: Mapping[str, object]) -> Iterator[Cell]:

@@ -77,8 +77,6 @@ DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
 class Case:
     """Messages of a flight and what is known of it."""
 
-    name: str  # Name of the flight
-    seed: int | None  # Seed of a simulated one
     parameters: dict[str, Any]  # Settings that fit its topics
     samples: Samples  # What arrives
 
@@ -124,15 +122,14 @@ class Case:
         return list(sampler.blocks())
 
 
-def simulated(name: str, seed: int | None = None, **sensor_changes: Any) -> Case:
+def simulated(name: str, seed: int | None = None) -> Case:
     """Return a flight of `flights.yaml`; the arguments are those of `flights.load`."""
-    own = flights.definition(name).get("seed", 0)
-    return measured(flights.load(name, seed, **sensor_changes), name, own if seed is None else seed)
+    return measured(flights.load(name, seed))
 
 
-def measured(m: Measurements, name: str, seed: int | None) -> Case:
+def measured(m: Measurements) -> Case:
     """Return a simulated flight as its sensors saw it."""
-    return Case(name, seed, parameters(m), m)
+    return Case(parameters(m), m)
 
 
 def is_recorded(name: str) -> bool:
@@ -177,7 +174,7 @@ def recorded(name: str) -> Case:
         airspeed_log_ns=spoken,
         airspeed=np.array([row[1] for row in airspeed]),
     )
-    return Case(name, None, known, samples)
+    return Case(known, samples)
 
 
 def load(name: str, seed: int | None = None) -> Case:

@@ -199,7 +199,7 @@ def held(trial: Trial) -> tuple[float, str]:
     Returns how far the delay in use moves after the quiet begins, s, and a line on it.
     """
     m = trial.fly()
-    case = cases.measured(m, trial.name, None)
+    case = cases.measured(m)
     structure = "augmented" if trial.name.startswith("plant") else "flight_dynamics"
     track = cases.identify(case, UNTOLD | {"structure": structure})
     # Half a block later all that was excited is judged.
@@ -219,7 +219,7 @@ def judged(trial: Trial) -> Result:
     true = m.flight.delay + m.flight.time_constant
     structure = STRUCTURES["flight_dynamics"]
     speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
-    case = cases.measured(m, trial.name, None)
+    case = cases.measured(m)
     settings = case.settings(UNTOLD | {"airspeed.reference": speed})
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0

@@ -41,7 +41,7 @@ def identified(
     segment = Segment("multisine", start=2.0, amplitudes=airframe(aircraft).excitation, seed=seed)
     flight = AircraftFlight((segment,), DURATION, aircraft=aircraft, seed=seed).fly()
     assert flight.airspeed is not None
-    case = cases.measured(measure(flight, SENSORS, seed), aircraft, seed)
+    case = cases.measured(measure(flight, SENSORS, seed))
     track = cases.identify(case, values)
     found = CoefficientSet(track.structure.name, track.coefficients[-1], track.sigma[-1])
     return found, float(flight.airspeed.mean())

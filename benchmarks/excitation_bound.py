@@ -100,7 +100,7 @@ def fly(gusts: str, seed: int, excited: bool) -> Flight:
 
 def identify(flight: Flight, seed: int) -> list[Estimate]:
     """Identify it as the node would, from nothing; return the estimates of all ticks."""
-    case = cases.measured(measure(flight, verdict_flights.SENSORS, seed), "light", seed)
+    case = cases.measured(measure(flight, verdict_flights.SENSORS, seed))
     identifier = OnlineIdentifier(case.settings({}))
     given = flight.injected if flight.excitation else ()
     return list(fed(identifier, case.messages(identifier, given)))

@@ -113,7 +113,7 @@ def judge(value: FloatArray, spread: FloatArray, truth: FloatArray) -> tuple[Any
 def run(trial: Trial, structure_name: str) -> Outcome:
     """Fly one trial, identify it as the node would, and judge what came out."""
     flown = trial.fly()
-    case = flown if isinstance(flown, cases.Case) else cases.measured(flown, trial.name, trial.seed)
+    case = flown if isinstance(flown, cases.Case) else cases.measured(flown)
     flight = case.flight  # None of a recorded one: no truth is known
     named = {"structure": structure_name} if structure_name else {}
     settings = case.settings({**named, **trial.settings})

@@ -36,7 +36,7 @@ def flight() -> Flight:
 
 
 def case_of(flight: Flight, **sensors: Any) -> cases.Case:
-    return cases.measured(measure(flight, Sensors(**sensors), seed=1), "test", 1)
+    return cases.measured(measure(flight, Sensors(**sensors), seed=1))
 
 
 def test_output_error_recovers_the_truth_without_noise(flight: Flight) -> None:
