@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well the estimators predict: ``python benchmarks/accuracy.py [--quick] [--only PATTERN]``.
 
-Every estimator with every structure, one online pass over each flight of `FLIGHTS`, beside an
-offline output-error fit of the same structure, padasip's RLS and NLMS on the same regressors,
-the paper's law as printed, and holding the last rate. Scored is the 1-second prediction fit over
-the last 40 % of the flight, with the forces measured inside the window where a structure takes
-them, against the measured and the noise-free rates, and the error of the dominant coefficients
-where the truth is known. The table goes to the terminal, the
-figures to ``build/accuracy.json``.
+Every estimator with every structure, one online pass over each flight of `FLIGHTS`, beside what
+benchmarks/README.md names. Scored is the 1-second prediction fit over the last 40 % of the flight,
+with the forces measured inside the window where a structure takes them.
 """
 
 import fnmatch

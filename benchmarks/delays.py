@@ -1,20 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Delay and servo lag found from the flight: ``python benchmarks/delays.py [--seeds N] [--told]``.
+"""Delay and servo lag found from the flight: ``python benchmarks/delays.py [--seeds N]``.
 
-Simulated flights of three aircraft, in the open and the closed loop, in gusts from none to strong,
-with every delay and lag, told neither; flights of a quadrotor, whose autopilot answers every gust;
-and flights on which nobody excites. Printed for each: the sum that was found, its sigma, and the
-largest error in sigmas of any estimate of the flight that was sure.
-
-With ``--told`` flights of a hovering quadrotor, the light aircraft and the c172p, all under
-autopilots, of which it is told what is injected: the lag is printed, too.
-
-With ``--quiet`` flights that are excited for a minute and again for the last 20 s, with five
-minutes under the autopilot alone between: the delay in use when the quiet begins, how far it moves
-from there at most, and what it is at the end.
-
-With ``--sweep`` recorded flights: the free fits over 1 s with fixed delays, and with the delay
-estimated.
+Of each flight are printed the sum that was found, its sigma, and the largest error in sigmas of any
+estimate of the flight that was sure. ``--told``: flights that say what is injected, of which the
+lag is printed, too. ``--quiet``: flights that are excited for a minute and again for the last 20 s,
+and how far the delay in use moves in the five minutes between. ``--sweep``: the free fits over 1 s
+of recorded flights with fixed delays, and with the delay estimated.
 """
 
 from collections.abc import Callable, Iterator, Sequence

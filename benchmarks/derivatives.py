@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Identified derivatives beside the true ones: ``python benchmarks/derivatives.py [AIRCRAFT ...]``.
 
-Each aircraft flies two minutes of multisines in calm air and is identified once, online. What came
-out is compared, name by name, with the derivatives of the aircraft, found by central differences of
-its accelerations (`uav_ident_ros.simulation.aircraft`), trimmed at the mean airspeed of the
-flight: who excites at trim throttle slows down, the c172p by 3 %, which is 7 % of an aileron. With
-``--coefficients FILE`` no flight is flown: the file is compared with the cruise point.
-
-Derivatives by the throttle are left out: an engine takes a second to follow, so that there is no
-one number. The augmented structure's derivatives hold at given ay and az, the true ones at given
-alpha and beta: there, compare the aileron's alone. The last column counts the differences in the
-sigmas that the identifier gave itself.
+Each aircraft flies two minutes of multisines in calm air and is identified once, online. The true
+ones are central differences of its accelerations, trimmed at the mean airspeed of the flight: who
+excites at trim throttle slows down, the c172p by 3 %, which is 7 % of an aileron. Those by the
+throttle are left out: an engine takes a second to follow. The augmented structure's hold at given
+ay and az, the true ones at given alpha and beta: there, compare the aileron's alone.
 """
 
 from collections.abc import Iterator, Mapping

@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """End the node again and again: ``python benchmarks/endings.py kills``, or ``signals``.
 
-A node is fed a recorded flight.
-
-kills      It is asked to save without a pause, and at a random moment it is killed (SIGKILL). The
-           state file must then be whole, the next node must start from it, and the coefficients
-           that it publishes first must be those of the file, to the bit.
-signals    At a random moment, every other time while it starts and every other time while it
-           learns, it gets SIGINT or SIGTERM, often twice or three times, as from a terminal and
-           from launch together. It must end with status 0 and without a traceback, and what it has
-           learned must be in the state file.
+kills      The node is asked to save without a pause, and killed at a random moment. The state file
+           must be whole, and the next node must publish first what is in it, to the bit.
+signals    At a random moment, while it starts or while it learns, it gets SIGINT or SIGTERM, often
+           twice or three times, as from a terminal and from launch together. It must end with
+           status 0 and without a traceback, and save what it has learned.
 """
 
 import os

@@ -2,23 +2,14 @@
 """Excitation in the closed loop, many flights: ``python benchmarks/excitation.py [--seeds N]``.
 
 JSBSim's c172p banks and pitches as in normal flight, under the example controller on fixed nominal
-coefficients, in air from calm to rough; the identifier starts from none. After ten seconds a run
-of excitation is asked for, at a tenth of each surface's range. All in one process, without ROS: the
-identifier, the run, the controller's side of the excitation and its law are those that fly, the
-messages between them arrive at once.
+coefficients; the identifier starts from none. After ten seconds a run of excitation is asked for,
+at a tenth of each surface's range. All in one process, without ROS. For each severity of the
+turbulence are printed: how far rates and attitude come until two seconds after the run, of the
+limits; how and when the runs end; rms of rates minus reference; the errors of the dominant
+derivatives.
 
-What is measured, for each severity of the turbulence:
-
-limits    how far rates and attitude come during a run and in the two seconds after it, as a
-          fraction of the limits; how often one is left
-end       how the runs end, and after how long
-tracking  rms of rates minus reference, with and without excitation
-error     of the dominant derivatives when the run ends, and how many lie within 2 sigma
-
-With ``--quadrotor`` the quadrotor is identified in the same way, in hover, and later loses a third
-of the thrust of one motor while nobody excites: when that is noticed, and the errors of its
-derivatives before the fault and five seconds after it. With ``--untold``, too, its identifier is
-told neither delay nor lag of the motors, and finds them.
+``--quadrotor``: the quadrotor in hover, which later loses a third of the thrust of one motor while
+nobody excites. ``--untold``, too: its identifier is told neither delay nor lag of the motors.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How soon excitation tells the derivatives, and how soon it could: ``excitation_bound.py``.
 
-The light aircraft flies turns on its autopilot, with a yaw damper, in light, moderate and heavy
-gusts; nothing is known at the start. After ten seconds multisines on all surfaces, a tenth of their
-travel, are added and told as ``excitation``. Measured is the time from then until all dominant
-derivatives, six, are within 15 % of the truth for good, and how often they are within two sigma at
-any time of the flight; in flights without excitation, how often they are called known.
+The light aircraft flies turns on its autopilot in gusts, and is excited from the tenth second on.
+Measured is the time from then until six derivatives are within 15 % of the truth for good.
 
 Beside it stands what the same flights would allow whom nothing escapes. The Cramér-Rao bound of a
 flight is the covariance of the extended Kalman filter of states (rates, flow angles, the gusts in
@@ -13,8 +10,7 @@ them) and all coefficients of the structure, linearised about what really happen
 statistics of gusts and noise and the same prior (Tichavský, Muravchik and Nehorai, "Posterior
 Cramér-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing 46, 1998).
 The errors of an estimator that reaches it are Gaussian, and what it learns between two times is
-independent of its error after: so they can be drawn, from the last back to the first, and their
-time until "for good" is that of a hundred such estimators on each flight.
+independent of its error after: so they can be drawn, from the last back to the first.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,25 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults at random times, and who brings the aircraft home.
 
-Aircraft are trimmed, excited and identified; then each controller flies the same manoeuvres, and a
-fault comes at a random time. Everything runs in one process, without ROS, so that a flight is the
-same every time. The controllers:
+Each controller flies the same manoeuvres, in one process, without ROS:
 
 inversion   inversion of the nominal model with a disturbance observer
 PID         the usual rate loop: feed-forward, P, I, D, one surface for each axis
 INDI        incremental inversion on the nominal control derivatives
 adaptive    the same, on what is identified and measured in flight, axis by axis
-oracle      the same, told the true control derivatives with the fault: what can be had at best
-            where an effect is reduced
+oracle      the same, told the true control derivatives with the fault, where an effect is reduced
 
-All are tuned by one rule on the healthy aircraft's identified model: as fast as can be with a gain
-margin of two, that is, so that they still settle when every input has twice its effect.
-
-The whole is a design: every fault on every aircraft, at five random times with three seeds. It is
-flown in a random order that meets every aircraft and fault before any twice, so that what was
-flown when it is stopped is a fair sample; started again, it goes on. The adaptive controller flies
-first, the oracle where it knows anything. Whether a fixed one is lost less often is asked where the
-adaptive one was lost, or everywhere (``--all``).
+All are as fast as can be with a gain margin of two: they still settle when every input of the
+healthy aircraft has twice its effect. The flights are drawn in a random order that meets every
+aircraft and fault before any twice: what was flown when it is stopped is a fair sample. The fixed
+ones fly where the adaptive one was lost, or everywhere (``--all``).
 
 Tables go to the terminal, every flight to build/fault_campaign.jsonl.
 """

@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Everything that a graph can do to the node, at once: ``python benchmarks/faults.py``.
 
-The node learns a recorded flight. Then come hostile messages on every input (every field NaN,
-infinite, huge, denormal; wrong lengths, frames and bytes; stamps zero, past, future, repeated),
-floods at 5 kHz, silences, topics that vanish and come back, jumps of the message time and, in a
-second run under simulated time, of /clock, storms of parameters, and services in every state.
-The node must stay up and never publish a value that is not finite or out of bounds. Afterwards it
-learns the same flight again, without a reset, and must be as good as before. All of it is drawn
-from one seed.
+The node learns a recorded flight; then comes what `Campaign` can do to it, once on the system's
+time and once on simulated time. It must stay up and never publish a value that is not finite or out
+of bounds. Afterwards it learns the same flight again, without a reset, and must be as good as
+before.
 """
 
 import itertools

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mutated logs and bags: each is read, or refused in one line, quickly and in little memory.
 
-Thousands of files of each kind are spoilt as disks, cables and people spoil them, and some as only
-an enemy would: bytes, blocks, lengths. The whole command runs on each, in this process, so that
-nothing hides behind an exit status. The same seed gives the same files.
+The whole command runs on each, in this process, so that nothing hides behind an exit status. The
+same seed gives the same files.
 """
 
 import contextlib

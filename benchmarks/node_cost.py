@@ -1,15 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the node costs while it runs: ``python benchmarks/node_cost.py``.
 
-For each Imu rate the node runs as a process of its own, a second process publishes a flight of
-`flights.yaml` to it in real time (system clock, stamped actuators at 50 Hz), and this one
-listens. Printed are the processor time of the node, the messages that were sent but never
-reached it, the time that a tick takes to compute, the age of a tick when it is published and
-when its coefficients arrive here (both hold what a tick waits for, up to `input_wait`, and a fifth
-of its period at most until the timer looks), how far the timer is off, and the resident memory
-before and after.
-
-``--hour`` plays an hour of flight instead, as fast as the node takes it, and prints its memory.
+The node runs as a process of its own, a second process publishes a flight of `flights.yaml` to it
+in real time (stamped actuators at 50 Hz), and this one listens. The ages of a tick hold what it
+waits for, up to `input_wait`, and a fifth of its period at most until the timer looks. ``--hour``
+plays an hour of flight instead, as fast as the node takes it, and prints its memory.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a long flight costs: ``python benchmarks/report_cost.py``.
 
-Simulates flights of ten minutes and an hour into bags (200 Hz Imu, 50 Hz actuators), replays each
-with a report in a process of its own, and prints its peak memory and time beside those of a process
-that iterates over the raw messages with rosbags; then the size of the page and how long headless
-Chromium takes from the request to what is in sight, and to all charts, wall time and CPU time.
+Each flight is replayed with a report in a process of its own, beside one that iterates over the raw
+messages with rosbags; headless Chromium then opens the page: wall and CPU time until what is in
+sight is drawn, and until all charts are.
 """
 
 import re

@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The way of a gyro sample: files and functions of the package that it passes to the estimate.
+"""The way of a gyro sample: ``python benchmarks/sample_walk.py [--list]``.
 
-    .venv/bin/python benchmarks/sample_walk.py [--list]
-
-An identifier flies the start of a committed bag. Then everything is counted that is called from the
-bytes of a rates message on until the coefficients have learned from it: what the samples of the
-ticks call that are learned from at once. Functions count by their name in the source,
-comprehensions and lambdas as a part of the function they stand in.
+Counted is what of the package is called from the bytes of a rates message on until the coefficients
+have learned from it: what the samples of the ticks call that are learned from at once.
+Comprehensions and lambdas are a part of the function they stand in.
 """
 
 import sys

@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long the verdict stands while a controller flies a healthy aircraft on correct coefficients.
 
-The loop is closed by INDI on the identifier's own coefficients, which start from those that the
-aircraft was prepared with. It follows bank and pitch manoeuvres, in calm air and in turbulence,
-with an ordinary gyro and a noisy one. Nobody excites. Below each flight: what denied the verdict,
-and for how much of the time, numbers left out.
-
-    python benchmarks/usable_in_loop.py --workers 2
+The loop is closed by INDI on the identifier's own coefficients; nobody excites. Below each flight:
+what denied the verdict, and for how much of the time, numbers left out.
 """
 
 import re
