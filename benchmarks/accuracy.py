@@ -18,8 +18,6 @@ import numpy as np
 import output_error
 
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.identification.prior import start_from
-from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.noise import Measurements
 
 FLIGHTS: Mapping[str, int] = {
@@ -113,15 +111,12 @@ def _run_structure(case: cases.Case, label: str, values: Mapping[str, object]) -
 
 
 def _run_adaptive(case: cases.Case, label: str, values: Mapping[str, object]) -> Iterator[Cell]:
-    settings = case.settings(values)
-    structure = STRUCTURES[settings.structure]
-    recorder = adaptive_filters.RegressionRecorder(structure.mask.shape)
-    track = cases.identify(case, values, lambda *_: recorder)
+    track, recorder = adaptive_filters.recorded(case, values)
     ticks = len(track.t_ns) - len(recorder.y)  # the first ones have no regressors yet
     methods = [("RLS", adaptive_filters.RLS_FORGETTING)]
     methods += [("NLMS", mu) for mu in adaptive_filters.NLMS_STEPS]
     for kind, mu in methods:
-        found = adaptive_filters.run_filter(kind, mu, recorder, start_from(settings).free)
+        found = adaptive_filters.run_filter(kind, mu, recorder)
         moved = replace(
             track, t_ns=track.t_ns[ticks:], coefficients=found, delay=track.delay[ticks:]
         )

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The adaptive filters of `padasip`, fed with the identifier's own filtered regressors."""
 
-import bench  # noqa: F401  (before NumPy)
+from collections.abc import Mapping
+
 import numpy as np
 import padasip
-from numpy.typing import NDArray
+from cases import Case, Track, identify
 
+from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
+from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, FloatArray
+from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.structure import FloatArray
 
 RLS_FORGETTING = 0.998
 """Per update; at 20 Hz a time constant of 25 s, the usual choice."""
@@ -18,33 +22,13 @@ NLMS_STEPS = (0.01, 0.05, 0.2, 0.5)
 FILTERS = {"RLS": padasip.filters.FilterRLS, "NLMS": padasip.filters.FilterNLMS}
 
 
-class RegressionRecorder:
-    """Stands in an estimator's place and keeps the samples."""
+class RegressionRecorder(RecursiveRegression):
+    """Keeps the samples in place of learning from them."""
 
-    def __init__(
-        self,
-        shape: tuple[int, ...],  # Shape (3, n) of the coefficients
-    ) -> None:
-        self.coefficients: FloatArray = np.zeros(shape)
-        self.sigma: FloatArray = np.zeros(shape)
-        self.problem = ""
-        self.learning = np.ones(3, dtype=bool)
-        self.clear = np.ones(3, dtype=bool)
-        self.model_error = np.zeros(3)
-        self.height = 0.0
-        self.answers = np.zeros(4)
-        self.changes: list[tuple[int, int]] = []
+    def __init__(self, settings: Settings, start: Start) -> None:
+        super().__init__(start, settings, instrumental=True)
         self.y: list[FloatArray] = []  # (3,) Accelerations; one entry per sample
         self.f: list[FloatArray] = []  # (n,) Regressors
-
-    @property
-    def inputs(self) -> FloatArray:
-        """Control derivatives: none are known."""
-        return self.coefficients[:, INPUT_COLUMNS]
-
-    def residual(self, samples: Regression) -> FloatArray:
-        """Return what no coefficients leave of samples: all of it."""
-        return samples.residual(self.coefficients)
 
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
@@ -54,13 +38,24 @@ class RegressionRecorder:
         self.f.extend(samples.f)
 
 
+def recorded(case: Case, values: Mapping[str, object]) -> tuple[Track, RegressionRecorder]:
+    """Run the identifier over a flight; return its ticks, and the samples to learn from."""
+    one: list[RegressionRecorder] = []
+
+    def make(settings: Settings, start: Start) -> RegressionRecorder:
+        one[:] = one or [RegressionRecorder(settings, start)]
+        return one[0]
+
+    return identify(case, values, make), one[0]
+
+
 def run_filter(
     kind: str,  # ``RLS`` or ``NLMS``
     mu: float,  # Forgetting factor of RLS, step of NLMS
     recorder: RegressionRecorder,  # The data
-    free: NDArray[np.bool_],  # (3, n) Coefficients of the structure
 ) -> FloatArray:
     """Coefficients after each update, shape (updates, 3, n)."""
+    free = recorder.start.free
     out = np.zeros((len(recorder.y), *free.shape))
     for i, row in enumerate(free):
         one = FILTERS[kind](int(row.sum()), mu=mu, w="zeros")

@@ -377,8 +377,7 @@ def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatAr
 def _rls_times(case: cases.Case, samples: int) -> FloatArray:
     """Processor time, s, of padasip's three filters for `samples` samples, same regressors."""
     structure = STRUCTURES[WIDEST]
-    recorder = adaptive_filters.RegressionRecorder(structure.mask.shape)
-    cases.identify(case, {}, lambda *_: recorder)
+    recorder = adaptive_filters.recorded(case, {})[1]
     filters = [
         padasip.filters.FilterRLS(int(row.sum()), mu=adaptive_filters.RLS_FORGETTING, w="zeros")
         for row in structure.mask

@@ -16,6 +16,7 @@ from bench import ROOT
 from numpy.typing import NDArray
 
 from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prediction import (
@@ -27,6 +28,7 @@ from uav_ident_ros.identification.prediction import (
     score_windows,
     window_errors,
 )
+from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, EXCITATION
 from uav_ident_ros.identification.sampling import Block, InputMap, Sampler
 from uav_ident_ros.identification.settings import Settings
@@ -216,23 +218,16 @@ class Track:
         return int(np.searchsorted(self.time, time + 1e-6, side="right")) - 1
 
 
-EstimatorFactory = Callable[[Structure, Settings], Any]
-"""Makes what stands in an estimator's place: of its members only those that a flight asks for."""
-
-
 def identify(
     case: Case,  # The flight
     values: Mapping[str, object],  # Settings besides those that its topics need
-    make: EstimatorFactory | None = None,  # Puts another estimator in the place of the settings'
+    make: Callable[[Settings, Start], Estimator] = make_estimator,  # The settings' by default
     *,
     until: float = np.inf,  # Stop so long after the first sample, s
 ) -> Track:
     """Run the identifier over a flight, once, as the node would."""
     settings = case.settings(values)
-    identifier = OnlineIdentifier(settings)
-    if make is not None:
-        own = make(identifier.structure, settings)
-        identifier = OnlineIdentifier(settings, estimator=lambda *_: own)
+    identifier = OnlineIdentifier(settings, estimator=make)
     m = case.samples
     start = int(m.imu_t_ns[0])
     end = m.imu_log_ns[-1] if np.isinf(until) else start + round(until * 1e9)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import adaptive_filters
 import cases
 import flights
 import fuzz
@@ -47,6 +48,15 @@ def test_output_error_recovers_the_truth_without_noise(flight: Flight) -> None:
     # The prior pulls the rate products by its own small weight.
     assert np.abs(found - truth)[mask].max() < 1e-3 * np.abs(truth).max()
     assert not found[~mask].any()
+
+
+def test_the_rival_filter_finds_the_truth_in_the_same_samples(flight: Flight) -> None:
+    track, recorder = adaptive_filters.recorded(case_of(flight, gyro_noise=0.002), PAPER)
+    found = adaptive_filters.run_filter("RLS", adaptive_filters.RLS_FORGETTING, recorder)
+    assert 0.9 * len(track.t_ns) < len(found) <= len(track.t_ns)
+    for name in cases.DOMINANT:
+        truth = cases.truth_in(STRUCTURE, flight)[STRUCTURE.index(name)]
+        assert found[-1][STRUCTURE.index(name)] == pytest.approx(truth, rel=0.05), name
 
 
 def test_the_benchmark_scores_a_recorded_flight_as_replay_does(
