@@ -103,10 +103,7 @@ class Guest:
     def spin_for(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
         """Listen for a while, or until a condition holds; return whether it does.
 
-        Raises
-        ------
-        KeyboardInterrupt
-            If a signal asks for the end: here, and not in the middle of the middleware's work.
+        A signal interrupts it here, and not in the middle of the middleware's work.
         """
         holds = listen(self._executor, seconds, lambda: self.called_off() or until())
         if self.called_off():

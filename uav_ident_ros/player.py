@@ -105,13 +105,7 @@ class Player(Guest):
     def wait_until(
         self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE
     ) -> None:
-        """Listen until `condition` holds.
-
-        Raises
-        ------
-        PlayerError
-            If it does not within `timeout` seconds; the message says `what` was waited for.
-        """
+        """Listen until `condition` holds; a PlayerError says `what` was waited for in vain."""
         if not self.spin_for(timeout, condition):
             raise PlayerError(f"waited {timeout:g} s in vain for {what}")
 
@@ -174,16 +168,7 @@ class Player(Guest):
     ) -> float:
         """Play in log-time order; between messages /clock goes on in its own steps.
 
-        Returns
-        -------
-        float
-            Root mean square of how late /clock was, s: what a busy machine adds to the stamps
-            on arrival.
-
-        Raises
-        ------
-        PlayerError
-            If it is in step, and the node stops answering.
+        Returns how late /clock was, rms, s: what a busy machine adds to the stamps on arrival.
         """
         start_ns, start = messages[0].log_ns, time.monotonic()
         late: list[float] = []

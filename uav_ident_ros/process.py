@@ -22,10 +22,7 @@ CLAIM = "\0uav_ident_ros/domain/{}"
 def own_domain() -> Iterator[int]:
     """Keep the traffic of this process and its children to this machine and one domain.
 
-    Yields
-    ------
-    int
-        The domain: one that no other such process of this machine has.
+    Yields the domain: one that no other such process of this machine has.
     """
     with _claimed() as chosen:
         own = {"ROS_DOMAIN_ID": str(chosen), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

@@ -19,7 +19,7 @@ from light_aircraft import TRUTH, LightFlight
 from programs import Capture
 
 from uav_ident_ros.identification.prediction import SELECTIONS
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
@@ -111,28 +111,18 @@ def test_the_key_follows_what_is_flown_and_not_what_measures_it() -> None:
 
 
 EXCITATION = Segment("multisine", amplitudes={"de": 0.03, "dr": 0.04, "da": 0.03})
-REGRESSORS = {
-    "pdot": ("p", "r", "dr", "da", "beta", "dth", "qr", "1"),
-    "qdot": ("q", "de", "alpha", "dth", "pr", "1"),
-    "rdot": ("p", "r", "dr", "da", "beta", "dth", "pq", "1"),
-    "ay": ("beta", "dr", "1"),
-    "az": ("alpha", "de", "1"),
-}
 
 
 def derivatives(flight: Flight) -> dict[str, float]:
     """Regress the noise-free accelerations and forces."""
     p, q, r = flight.rates.T
-    columns = dict(zip(("de", "dr", "da", "dth"), flight.extra["surfaces"].T, strict=True))
-    columns |= {"p": p, "q": q, "r": r, "qr": q * r, "pr": p * r, "pq": p * q}
-    columns |= {"1": np.ones_like(p), "beta": flight.extra["beta"], "alpha": flight.extra["alpha"]}
+    columns = {name: flight.extra[name] for name in ("beta", "alpha")}
+    columns |= dict(zip(INPUTS, flight.extra["surfaces"].T, strict=True))
+    columns |= {"p": p, "q": q, "r": r, "qr": q * r, "pr": p * r, "pq": p * q, "1": 1.0 + 0.0 * p}
     signals = np.column_stack([flight.angular_acceleration, flight.specific_force[:, 1:]])
-    out = {}
-    for (row, names), signal in zip(REGRESSORS.items(), signals.T, strict=True):
-        matrix = np.column_stack([columns[name] for name in names])
-        values = np.linalg.lstsq(matrix, signal, rcond=None)[0]
-        out |= {f"{row}/{name}": float(v) for name, v in zip(names, values, strict=True)}
-    return out
+    values = np.linalg.lstsq(np.column_stack([*columns.values()]), signals, rcond=None)[0]
+    rows = ("pdot", "qdot", "rdot", "ay", "az")
+    return {f"{row}/{x}": values[k, i] for i, row in enumerate(rows) for k, x in enumerate(columns)}
 
 
 def test_the_aircraft_has_its_declared_derivatives() -> None:

@@ -19,7 +19,7 @@ from uav_ident_ros.simulation.inputs import INPUT_KINDS, ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import SIMULATION_RATE, Plan
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import VEHICLES, PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import VEHICLES, PlantFlight
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 
@@ -129,10 +129,24 @@ def _add_numbers(group: argparse._ArgumentGroup, options: Mapping[str, Option]) 
 
 def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
     """Return the flight that the options ask for, and what measures it."""
-    kind, peaks, own = _vehicle_part(options)
-    peaks = dict(zip(INPUTS, options.amplitude, strict=True)) if options.amplitude else peaks
+    kind: type[Plan]
+    if options.jsbsim:
+        kind, peaks = AircraftFlight, airframe(options.jsbsim, options.speed).excitation
+        own: dict[str, Any] = {"aircraft": options.jsbsim}
+        own |= {name: getattr(options, name) for name in ("speed", "turbulence", "bank")}
+    else:
+        kind, peaks = QuadrotorFlight, AMPLITUDES
+        own = {"gusts": ColouredNoise(options.gusts)}
+        own |= {"time_constant": options.servo_lag} if options.servo_lag else {}
+        if options.plant != QUADROTOR:
+            kind, peaks = PlantFlight, dict(zip(INPUTS, PLANT_AMPLITUDES, strict=True))
+            own |= {"vehicle": VEHICLES[options.plant or "small_uav"], "force": FORCE_NOISE}
+            own["autopilot"] = options.autopilot
+    if options.amplitude:
+        peaks = dict(zip(INPUTS, options.amplitude, strict=True))
+    excited = max(0.0, options.duration - START)
     plan = kind(
-        (Segment(options.input, START, max(0.0, options.duration - START), peaks),),
+        (Segment(options.input, START, excited, peaks),),
         options.duration + options.quiet,
         # the same flight for every Imu rate that divides it
         SIMULATION_RATE if SIMULATION_RATE % options.rate == 0.0 else options.rate,
@@ -143,23 +157,6 @@ def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
     )
     given = {field.name: getattr(options, field.name, None) for field in fields(Sensors)}
     return plan, Sensors(**{name: v for name, v in given.items() if v is not None})
-
-
-def _vehicle_part(
-    options: argparse.Namespace,
-) -> tuple[type[Plan], Mapping[str, float], dict[str, Any]]:
-    """Kind of flight, usual peaks of its excitation and fields that no other kind has."""
-    if options.jsbsim:
-        own: dict[str, Any] = {"aircraft": options.jsbsim}
-        own |= {name: getattr(options, name) for name in ("speed", "turbulence", "bank")}
-        return AircraftFlight, airframe(options.jsbsim, options.speed).excitation, own
-    own = {"gusts": ColouredNoise(options.gusts)}
-    own |= {"time_constant": options.servo_lag} if options.servo_lag else {}
-    if options.plant == QUADROTOR:
-        return QuadrotorFlight, AMPLITUDES, own
-    own |= {"vehicle": vehicle(options.plant or "small_uav"), "force": FORCE_NOISE}
-    own["autopilot"] = options.autopilot
-    return PlantFlight, dict(zip(INPUTS, PLANT_AMPLITUDES, strict=True)), own
 
 
 def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
