@@ -21,6 +21,9 @@ from typing import Any
 
 import bench
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, JointState
 
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.structure import FloatArray
@@ -119,8 +122,6 @@ def restart(seeds: int) -> dict[str, Any]:
 
 def kill_and_restart(running: ClosedLoop) -> None:
     """Kill the identifier at one time of the flight and start it at another."""
-    from rosgraph_msgs.msg import Clock
-
     times: list[int] = []
     guest = Guest("flight_clock")
     guest.node.create_subscription(Clock, "/clock", lambda m: times.append(stamp_ns(m.clock)), 1)
@@ -184,9 +185,6 @@ def latency(_: int) -> dict[str, Any]:
 
 def listen(running: ClosedLoop, ages: dict[str, list[float]], dropped: dict[str, str]) -> None:
     """Collect the age of each message on its arrival here, ms, and what the identifier dropped."""
-    from diagnostic_msgs.msg import DiagnosticArray
-    from sensor_msgs.msg import Imu, JointState
-
     begin: list[float] = []
 
     def take(topic: str, message: Any) -> None:

@@ -22,10 +22,13 @@ from typing import Any
 
 import bench
 import numpy as np
+from std_srvs.srv import Trigger
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, load_with_notes
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.messages.types import import_type
+from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess, own_domain
 
 BAG = bench.ROOT / "bags" / "multisine"
@@ -52,11 +55,6 @@ class Feeder:
     """Feeds a flight to the node, asks it to save, and hears what it publishes."""
 
     def __init__(self) -> None:
-        from std_srvs.srv import Trigger
-
-        from uav_ident_ros.messages.types import import_type
-        from uav_ident_ros.player import Player
-
         with Bag(BAG) as bag:
             classes = {topic: import_type(bag.type_of(topic)) for topic in TOPICS}
             messages = list(bag.messages(TOPICS))

@@ -24,13 +24,25 @@ from typing import Any
 import bench
 import hostile
 import numpy as np
+from geometry_msgs.msg import TwistStamped
 from hostile import SECOND_NS, Hostile, stamped
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.prediction import PredictionFit
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, declarations
 from uav_ident_ros.messages.types import import_type
+from uav_ident_ros.node.parameters import PARAMETER_TYPES
 from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.player import Outputs, Player, PlayerError
@@ -124,8 +136,6 @@ class Campaign:
         sim_time: bool,  # Whether the node runs on simulated time
         folder: Path,  # Folder for its log and its state file
     ) -> None:
-        from rcl_interfaces.srv import GetParameters
-
         self.outcome = Outcome()
         self.chance = random.Random(seed)
         self._count = count
@@ -160,10 +170,6 @@ class Campaign:
 
     def _load_flight(self) -> list[tuple[int, str, bytes]]:
         """Good messages: those of the bag, an airspeed ten times a second, armed twice."""
-        from geometry_msgs.msg import TwistStamped
-        from rclpy.serialization import serialize_message
-        from std_msgs.msg import Bool
-
         with Bag(BAG) as bag:
             found = [(m.log_ns, m.topic, m.data) for m in bag.messages((RATES, ACTUATORS))]
             start, end = bag.start_ns, bag.start_ns + int(LEARNING_TIME * 1e9)
@@ -346,8 +352,6 @@ class Campaign:
 
     def call_something(self) -> None:
         """Call one of the services, or set some parameters to something."""
-        from rcl_interfaces.srv import DescribeParameters, SetParameters, SetParametersAtomically
-        from std_srvs.srv import SetBool, Trigger
 
         def parameters() -> dict[str, Any]:
             count = self.chance.randrange(1, 6)
@@ -383,12 +387,6 @@ class Campaign:
 
     def calm_down(self) -> None:
         """Set everything back as it was, and let it learn: without a reset."""
-        from rcl_interfaces.srv import SetParametersAtomically
-        from rclpy.parameter import Parameter
-        from std_srvs.srv import SetBool
-
-        from uav_ident_ros.node.parameters import PARAMETER_TYPES
-
         own = load_parameters(BAG / "identifier.yaml", "identifier")
         # the type as well: an empty array does not tell it
         parameters = [

@@ -14,6 +14,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from multiprocessing.queues import Queue
 from pathlib import Path
 
@@ -21,11 +22,14 @@ import bench
 import flights
 import numpy as np
 from hostile import stamped
+from sensor_msgs.msg import Imu, JointState
 
 from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.samples import ACTUATORS, RATES
 from uav_ident_ros.messages.types import header_ns
-from uav_ident_ros.process import NodeProcess
+from uav_ident_ros.player import Player
+from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.simulation.recording import as_message
 
 FLIGHT = "exact_noise_002"
@@ -64,15 +68,11 @@ def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, byte
 
 def publish(imu_rate: float, seconds: float, ready: object, sent: Queue[dict[str, int]]) -> None:
     """Publish the flight in real time, stamped with the system's time."""
-    import rclpy
-    from sensor_msgs.msg import Imu, JointState
-
     messages = list(serialized(imu_rate, seconds))
-    rclpy.init()
-    node = rclpy.create_node("flight")
+    guest = Guest("flight")
     publishers = {
-        RATES: node.create_publisher(Imu, "imu/data", 1000),
-        ACTUATORS: node.create_publisher(JointState, "actuators", 1000),
+        RATES: guest.node.create_publisher(Imu, "imu/data", 1000),
+        ACTUATORS: guest.node.create_publisher(JointState, "actuators", 1000),
     }
     while not all(p.get_subscription_count() for p in publishers.values()):
         time.sleep(0.05)
@@ -88,8 +88,7 @@ def publish(imu_rate: float, seconds: float, ready: object, sent: Queue[dict[str
         publishers[topic].publish(stamped(data, due))
         counts[topic] += 1
     sent.put(counts)
-    node.destroy_node()
-    rclpy.shutdown()
+    guest.close()
 
 
 # --- the measurement --------------------------------------------------------------------------
@@ -103,31 +102,28 @@ def cpu_seconds(pid: int) -> float:
 
 def measure(imu_rate: float, seconds: float) -> tuple[str, ...]:
     """Run node and publisher and measure for `seconds`; return the row of the table."""
-    from uav_ident_ros.player import Player
-
     spawn = multiprocessing.get_context("spawn")
     ready, sent = spawn.Event(), spawn.Queue()
-    publisher = spawn.Process(
-        target=publish, args=(imu_rate, WARM_UP + seconds + MARGIN, ready, sent)
-    )
+    span = WARM_UP + seconds + MARGIN
+    publisher = spawn.Process(target=publish, args=(imu_rate, span, ready, sent), daemon=True)
     values = {
         "actuators.type": "sensor_msgs/msg/JointState",
         "actuators.channels": "[elevator, rudder, aileron, throttle]",
         "actuators.trim": "[0.0, 0.0, 0.0, 0.5]",
     }
-    node = NodeProcess("uav_ident_ros.node", Path(os.environ["ROS_HOME"]) / "node.log", values)
-    player = Player({}, clock=False)
+    log = Path(os.environ["ROS_HOME"]) / "node.log"
     ages: list[int] = []
-    try:
-        player.wait_for_node()
-        from sensor_msgs.msg import JointState
 
-        player.node.create_subscription(
-            JointState,
-            "/identifier/coefficients_named",
-            lambda m: ages.append(time.time_ns() - header_ns(m)),
-            1000,
-        )
+    def take(message: JointState) -> None:
+        ages.append(time.time_ns() - header_ns(message))
+
+    with (
+        NodeProcess("uav_ident_ros.node", log, values) as node,
+        closing(Player({}, clock=False)) as player,
+    ):
+        player.wait_for_node()
+        topic = "/identifier/coefficients_named"
+        player.node.create_subscription(JointState, topic, take, 1000)
         publisher.start()
         player.wait_until(ready.is_set, "the publisher", timeout=120.0)
         player.spin_for(WARM_UP)
@@ -142,25 +138,15 @@ def measure(imu_rate: float, seconds: float) -> tuple[str, ...]:
         counts = sent.get()
         player.spin_for(SETTLE)
         status = {entry.key: entry.value for entry in player.outputs.status[-1].values}
-    finally:
-        player.close()
-        node.end()
-        if publisher.is_alive():
-            publisher.terminate()
-        if publisher.pid is not None:
-            publisher.join()
     update = [status.get(f"ticks: update time {p} [ms]", "-") for p in ("p50", "p99", "max")]
     published = [status.get(f"ticks: age when published {p} [ms]", "-") for p in ("p50", "p99")]
     age = np.percentile(age_ms, (50, 99)) if len(age_ms) else (np.nan, np.nan)
-    lost = {
-        topic: counts[topic] - int(status[f"{stream}: messages"])
-        for topic, stream in (("imu", "rates"), ("actuators", "actuators"))
-    }
+    lost = {stream: sends - int(status[f"{stream}: messages"]) for stream, sends in counts.items()}
     return (
         f"{imu_rate:g}",
         f"{100.0 * cpu:.1f}",
-        f"{lost['imu']} / {counts['imu']}",
-        f"{lost['actuators']}",
+        f"{lost[RATES]} / {counts[RATES]}",
+        f"{lost[ACTUATORS]}",
         " / ".join(update),
         " / ".join(published),
         f"{age[0]:.1f} / {age[1]:.1f}",
@@ -193,8 +179,6 @@ COLUMNS = (
 
 def main() -> None:
     """Measure and print."""
-    from uav_ident_ros.process import own_domain
-
     parser = bench.parser(__doc__, seconds=60.0)
     parser.add_argument("--rates", type=float, nargs="+", default=[200.0, 500.0, 1000.0])
     parser.add_argument("--hour", action="store_true", help="memory over an hour of flight")
