@@ -6,25 +6,18 @@
 """
 
 import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.import_logs.autopilot import (
-    Actuators,
-    ActuatorsReader,
-    Import,
-    Rates,
-    Usable,
-    kinds,
-    table,
-)
+from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.autopilot import Actuators, Force, Import, Usable, kinds, table
 from uav_ident_ros.import_logs.channels import (
     PWM_MAX,
     PWM_MIN,
     PWM_TRIM,
-    demands,
     effect_of,
     effects_of_arms,
     named_once,
@@ -63,38 +56,72 @@ NORMALISED = 10.0
 
 
 def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
-    """Read an ArduPilot dataflash log.
-
-    Raises
-    ------
-    ImportLogError
-        If the file cannot be read, or has no rates or no actuators.
-    """
+    """Read an ArduPilot dataflash log."""
     if choice.actuators_instance:
         raise ImportLogError(f"log '{path}': ArduPilot logs one set of actuators, instance 0")
     log = read_dataflash(path, kinds(KNOWN) | {*PINS, "DSF"})
     log.title = next((text for text in log.texts if _firmware(text)), "ArduPilot")
     firmware = _firmware(log.title)
-    it = Import(log, KNOWN | _of_firmware(log, firmware), choice)
+    it = _ArduPilot(log, KNOWN | _of_firmware(log, firmware), choice)
     it.refuse_others({"it calls itself": firmware})
     _name_as_today(log, firmware)
     statistics = log.messages("DSF")
     lost = statistics.columns["Dp"].max() if statistics and statistics.has("Dp") else 0
     if lost:
-        log.findings.doubt(f"the logger lost {lost:.0f} messages (DSF.Dp)")
-    rates = dict.fromkeys(KNOWN["rates"], _turned)
-    return it.flight_log(
-        rates,
-        READERS,
-        hovers=lambda commands: firmware == "Copter" or commands.source == "RATE",
-        explained=_of_surfaces if firmware == "Plane" else _explained,
-    )
+        log.findings.lost.append(f"the logger lost {lost:.0f} messages (DSF.Dp)")
+    return it.flight_log()
 
 
-def _turned(it: Import, _: Messages, found: Rates) -> Rates:
-    """Return the rates as they are: in body axes."""
-    it.note_orientation("ArduPilot has turned IMU and GYR by it")
-    return found
+class _ArduPilot(Import):
+    def in_the_body(
+        self, kind: str, messages: Messages, rates: FloatArray, force: Force
+    ) -> tuple[FloatArray, Force]:
+        self.note_orientation("ArduPilot has turned IMU and GYR by it")
+        return rates, force
+
+    def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
+        return {"RCOU": self._pins, "RATE": self.demands, "AETR": self.demands}
+
+    def hovers(self, commands: Stream) -> bool:
+        return _firmware(self.log.title) == "Copter" or commands.source == "RATE"
+
+    def explained(self, usable: Usable) -> Usable:
+        functions = {
+            value
+            for name, value in self.log.parameters.items()
+            if re.fullmatch(r"SERVO\d+_FUNCTION", name)
+        }
+        motors = bool(functions & set(MOTORS)) and _frame(self.log) in FRAMES
+        explained = dict(usable)
+        if not (motors or functions & {*SURFACES, *THROTTLES}) and {"RCOU"} < set(usable):
+            self.findings.lost.append(f"RCOU is passed over: {self.table['unexplained']}")
+            del explained["RCOU"]
+        if _firmware(self.log.title) == "Plane" and {"RATE"} < set(explained):
+            self.findings.assumed.append(
+                "a QuadPlane in forward flight: RATE, what is asked of its lift motors, is passed "
+                "over (--actuators-topic RATE for its hover)"
+            )
+            del explained["RATE"]
+        return explained
+
+    def _pins(self, first: Messages) -> Actuators:
+        """Pulse widths and the functions of the servo outputs."""
+        log, fields = self.log, _pin_fields(first)
+        widths, pins = first.stream(*fields.values()), [*fields]
+        for name in PINS[1:]:
+            if (more := log.messages(name)) is not None:
+                added = _pin_fields(more, len(pins) + 1)
+                widths = widths.joined(more.stream(*added.values()))
+                pins += added
+        functions = [int(log.parameter(f"SERVO{pin}_FUNCTION")) for pin in pins]
+        used = [i for i, f in enumerate(functions) if f or np.any(widths.values[:, i] > 0)]
+        every = [functions[i] for i in used]
+        rotors = _rotors(log, every)
+        channels = [_channel(log, pins[i], functions[i], every, rotors) for i in used]
+        log.findings.read.append(
+            "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
+        )
+        return Stream(widths.source, widths.t_ns, widths.values[:, used]), named_once(channels)
 
 
 def _firmware(text: str) -> str:
@@ -125,31 +152,6 @@ def _of_firmware(log: Log, firmware: str) -> dict[str, Any]:
 # --- outputs ------------------------------------------------------------------------------------
 
 
-def _explained(it: Import, usable: Usable) -> Usable:
-    """Return the messages that say what they move; all, if none do."""
-    functions = {
-        v for name, v in it.log.parameters.items() if re.fullmatch(r"SERVO\d+_FUNCTION", name)
-    }
-    motors = bool(functions & set(MOTORS)) and _frame(it.log) in FRAMES
-    others = {name: m for name, m in usable.items() if name != "RCOU"}
-    if not others or "RCOU" not in usable or motors or functions & {*SURFACES, *THROTTLES}:
-        return dict(usable)
-    it.findings.doubt(f"RCOU is passed over: {it.table['unexplained']}")
-    return others
-
-
-def _of_surfaces(it: Import, usable: Usable) -> Usable:
-    """Return the messages of a Plane that say what they move; not a QuadPlane's, of its hover."""
-    explained = _explained(it, usable)
-    if len(explained) > 1 and "RATE" in explained:
-        del explained["RATE"]
-        it.findings.assume(
-            "a QuadPlane in forward flight: RATE, what is asked of its lift motors, is passed over "
-            "(--actuators-topic RATE for its hover)"
-        )
-    return explained
-
-
 def _frame(log: Log) -> tuple[int, int]:
     return int(log.parameter("FRAME_CLASS")), int(log.parameter("FRAME_TYPE", -1))
 
@@ -159,26 +161,6 @@ def _pin_fields(messages: Messages, first: int = 1) -> dict[int, str]:
     fields = [name for name in messages.columns if re.fullmatch(r"C(h|han)?\d+", name)]
     numbered = {int(re.sub(r"\D", "", name)): name for name in fields}
     return {number: name for number, name in sorted(numbered.items()) if number >= first}
-
-
-def _pins(it: Import, first: Messages) -> Actuators:
-    """Pulse widths and the functions of the servo outputs."""
-    log, fields = it.log, _pin_fields(first)
-    widths, pins = Stream(first.name, first.stamp_ns, first.values(*fields.values())), [*fields]
-    for name in PINS[1:]:
-        if (more := log.messages(name)) is not None:
-            added = _pin_fields(more, len(pins) + 1)
-            widths = widths.joined(Stream(name, more.stamp_ns, more.values(*added.values())))
-            pins += added
-    functions = [int(log.parameter(f"SERVO{pin}_FUNCTION")) for pin in pins]
-    used = [i for i, f in enumerate(functions) if f or np.any(widths.values[:, i] > 0)]
-    every = [functions[i] for i in used]
-    rotors = _rotors(log, every)
-    channels = [_channel(log, pins[i], functions[i], every, rotors) for i in used]
-    log.findings.note(
-        "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
-    )
-    return Stream(widths.source, widths.t_ns, widths.values[:, used]), named_once(channels)
 
 
 def _channel(
@@ -199,7 +181,7 @@ def _channel(
         effect = effect_of(SURFACES[function], 1.0 / every.count(function))
         trim = log.parameter(f"{prefix}TRIM", PWM_TRIM)
         if abs(trim - (low + high) / 2.0) > OFF_CENTRE * (high - low):
-            log.findings.assume(
+            log.findings.assumed.append(
                 f"{name}: one unit is half of {low:g} to {high:g} us to either side, although its "
                 f"trim, {trim:g} us, is off the middle"
             )
@@ -217,7 +199,7 @@ def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
     if not any(function in MOTORS for function in functions):
         return {}
     if any(function in SURFACES for function in functions):
-        log.findings.assume(
+        log.findings.assumed.append(
             "a QuadPlane: the surfaces and the forward throttle count, its lift motors are only "
             "recorded"
         )
@@ -229,18 +211,14 @@ def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
             f"({', '.join(name for name, _ in FRAMES.values())}); try --actuators-topic RATE"
         )
     name, arms = FRAMES[key]
-    log.findings.note(
+    log.findings.read.append(
         f"{name} with ArduPilot's motor order and senses of rotation (FRAME_CLASS {key[0]}, "
         f"FRAME_TYPE {key[1]})"
     )
-    log.findings.assume(
+    log.findings.assumed.append(
         "thrust is taken as proportional to the pulse width about its trim (MOT_THST_EXPO bends it)"
     )
     return dict(zip(MOTORS, effects_of_arms(arms), strict=False))
-
-
-READERS: dict[str, ActuatorsReader] = {"RCOU": _pins, "RATE": demands, "AETR": demands}
-"""Readers by message type, nearest to the actuators first."""
 
 
 # --- before SERVOn_FUNCTION ---------------------------------------------------------------------
@@ -282,14 +260,14 @@ def _old_copter(log: Log) -> None:
         moving = [bool(np.ptp(pulses.columns[field])) for field in fields] if pulses else []
         used = [*moving, False].index(False)
         frame_class = KNOWN["old_motor_counts"].get(used)
-        log.findings.assume(f"{used} pins carry pulses: they are its motors")
+        log.findings.assumed.append(f"{used} pins carry pulses: they are its motors")
     log.parameters.setdefault("FRAME_CLASS", float(frame_class or 0))
     log.parameters.setdefault("FRAME_TYPE", log.parameters["FRAME"])
     _, arms = FRAMES.get(_frame(log), ("", []))
     for pin, (function, _) in enumerate(zip(MOTORS, arms, strict=False), 1):
         _name_pin(log, pin, function, KNOWN["throttle_stick"])
     if arms:
-        log.findings.assume(
+        log.findings.assumed.append(
             "a log without SERVOn_FUNCTION: the motors are on the pins of their numbers, their "
             f"range is the throttle's (RC{KNOWN['throttle_stick']}_MIN, MAX)"
         )
@@ -299,7 +277,7 @@ def _old_plane(log: Log) -> None:
     """Surfaces on the pins of the sticks' channels, and what RCn_FUNCTION says of the others."""
     parameters = log.parameters
     if paired := [name for name in KNOWN["old_pairs"] if parameters.get(name)]:
-        log.findings.doubt(
+        log.findings.lost.append(
             f"{paired[0]} is {parameters[paired[0]]:g}: how such pairs turn is not known here"
         )
         return
@@ -312,7 +290,7 @@ def _old_plane(log: Log) -> None:
         _name_pin(log, pin, function, pin)
         turned = float(log.parameter(f"RC{pin}_REV", 1.0) < 0)
         parameters.setdefault(f"SERVO{pin}_REVERSED", turned)
-    log.findings.assume(
+    log.findings.assumed.append(
         "a log without SERVOn_FUNCTION: aileron, elevator, throttle, rudder are on the pins of "
         "their sticks (RCMAP_*), ranges and directions are those of RCn_MIN, TRIM, MAX, REV"
     )

@@ -2,7 +2,7 @@
 """How the log of any autopilot is read: which messages are taken, and what there is to say of it.
 
 Where everything stands is in the autopilot's table (`px4.yaml`, `ardupilot.yaml`): rates, forces,
-estimates, what tells that it flew. Its module knows what its commands move.
+estimates, what tells that it flew. Its module has an `Import` that knows what its commands move.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -16,6 +16,7 @@ import yaml
 
 from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.import_logs.channels import effect_of
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
@@ -42,22 +43,11 @@ ENOUGH_COVERAGE = 0.9
 """Messages that cover less than this part of what the best cover are passed over: a topic that was
 switched on for a part of the flight tells of that part alone."""
 
-EULER_ANGLES = 3
-"""Columns of an attitude that is given as roll, pitch, yaw, deg, in place of a quaternion."""
-
-Rates = tuple[FloatArray, FloatArray | None]
-"""Rates (k, 3), rad/s, and the specific force with them, (k, 3), m/s^2, if there is one."""
-
-RatesReader = Callable[["Import", Messages, Rates], Rates]
-"""Makes rates and force in body axes of what messages hold."""
+Force = FloatArray | None
+"""Specific force at the stamps of the rates, (k, 3), m/s^2, if there is one."""
 
 Actuators = tuple[Stream, list[Channel]]
 """Raw values of the commands, and what each column is."""
-
-ActuatorsReader = Callable[["Import", Messages], Actuators]
-
-Find = Callable[[str, int], Messages | None]
-"""Name and instance to the messages, None if the log has none."""
 
 Usable = dict[str, Messages]
 """Messages by kind, the preferred first."""
@@ -92,14 +82,34 @@ class Import:
         """What there is to say about the log."""
         return self.log.findings
 
-    def refuse_others(self, found: Mapping[str, Any]) -> None:
-        """Refuse a vehicle that is no aircraft, by what was found under each key of the table.
+    # --- what each autopilot has of its own -------------------------------------------------------
 
-        Raises
-        ------
-        ImportLogError
-            If it is none.
-        """
+    def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
+        """Return the readers of commands by kind of messages, nearest to the actuators first."""
+        raise NotImplementedError
+
+    def hovers(self, commands: Stream) -> bool:
+        """Whether such commands are a multirotor's."""
+        raise NotImplementedError
+
+    def commands(self, name: str, instance: int) -> Messages | None:
+        """Return the commands of a kind and instance, if there are any."""
+        return self.log.messages(name, instance)
+
+    def explained(self, usable: Usable) -> Usable:
+        """Return the commands that say what they move; all, if none do."""
+        return usable
+
+    def in_the_body(
+        self, kind: str, messages: Messages, rates: FloatArray, force: Force
+    ) -> tuple[FloatArray, Force]:
+        """Return rates (k, 3), rad/s, and force in body axes, of what messages of a kind hold."""
+        return rates, force
+
+    # --- which messages ---------------------------------------------------------------------------
+
+    def refuse_others(self, found: Mapping[str, Any]) -> None:
+        """Refuse a vehicle that is no aircraft, by what was found under each key of the table."""
         for source, vehicles in self.table["not_aircraft"].items():
             if (vehicle := vehicles.get(value := found.get(source))) is not None:
                 raise self.log.refusal(
@@ -107,22 +117,14 @@ class Import:
                     "attitude"
                 )
 
-    # --- which messages ---------------------------------------------------------------------------
-
-    def find(
+    def _find(
         self,
         what: str,  # ``rates`` or ``actuators``
         # The kinds that can be read, the preferred first, and the fields that they must have
         fields: Mapping[str, Collection[str]],
-        find: Find,
+        find: Callable[[str, int], Messages | None],
     ) -> Usable:
-        """Find the messages asked for, or all kinds that would do.
-
-        Raises
-        ------
-        ImportLogError
-            If the kind asked for is none that can be read, or there are none.
-        """
+        """Find the messages asked for, or all kinds that would do."""
         wanted: str | None = getattr(self.choice, f"{what}_topic")
         instance: int = getattr(self.choice, f"{what}_instance")
         if wanted is not None and wanted not in fields:
@@ -140,7 +142,7 @@ class Import:
             )
         return found
 
-    def choose(self, usable: Mapping[str, Messages]) -> str:
+    def _choose(self, usable: Usable) -> str:
         """Name the messages to take: the first that are fast enough and cover the flight.
 
         If none are, the fastest that cover it. What there is to choose from is said, and why
@@ -158,7 +160,9 @@ class Import:
         chosen = whole[0] if fast else max(whole, key=lambda name: rates[name])
         if len(names) > 1:
             listed = [f"{n} at {rates[n]:.4g} Hz over {100.0 * shares[n]:.0f} %" for n in names]
-            self.findings.note(f"{chosen} is taken; of the flight there is {', '.join(listed)}")
+            self.findings.read.append(
+                f"{chosen} is taken; of the flight there is {', '.join(listed)}"
+            )
         before_mixer = self.table["before_mixer"]
         for name in names[: names.index(chosen)]:
             reason = f"covers {100.0 * shares[name]:.0f} % of the flight only"
@@ -166,10 +170,12 @@ class Import:
                 reason = f"is logged at {rates[name]:.3g} Hz only{self._to_log_faster(name)}"
             loss = ", from before the mixer, and knows nothing of saturation"
             tail = loss if chosen in before_mixer and name not in before_mixer else ""
-            self.findings.doubt(f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}")
+            self.findings.lost.append(
+                f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}"
+            )
         self._note_taken(chosen, usable[chosen].name)
         if rates[chosen] < ENOUGH_RATE:
-            self.findings.doubt(
+            self.findings.lost.append(
                 f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed"
                 f"{self._to_log_faster(chosen)}"
             )
@@ -203,14 +209,14 @@ class Import:
         if "low_pass" in notes:
             cutoffs = {name: self.log.parameter(name) for name in notes["low_pass"]}
             known = next((f" at {hz:g} Hz ({name})" for name, hz in cutoffs.items() if hz), "")
-            self.findings.doubt(
+            self.findings.lost.append(
                 f"{kind} is low-passed{known} by the autopilot: it comes late, which counts as a "
                 f"further delay of the inputs{notes['more']}"
             )
 
     # --- flight, rates, commands ------------------------------------------------------------------
 
-    def take_flight(self) -> None:
+    def _take_flight(self) -> None:
         """Take the stretches in the air; if nothing says more, those in which it was armed."""
         for state, sources in self.table["flight"].items():
             found = self._stretches(sources)
@@ -219,16 +225,16 @@ class Import:
             source, self.flown = found
             if self.flown:
                 seconds = sum(end - start for start, end in self.flown) * 1e-9
-                self.findings.note(
+                self.findings.read.append(
                     f"{state} for {seconds:.1f} s in {len(self.flown)} stretch(es) ({source})"
                 )
             else:
-                self.findings.doubt(
+                self.findings.lost.append(
                     f"the vehicle was never {state} ({source}): no model can come of this log; if "
                     "it did fly, empty 'armed.type'"
                 )
         if self.flown is None:
-            self.findings.assume(self.table["always_flies"])
+            self.findings.assumed.append(self.table["always_flies"])
 
     def _stretches(self, sources: Mapping[str, Any]) -> tuple[str, Stretches] | None:
         """Return what tells a state, and when it holds; None if nothing does."""
@@ -249,34 +255,29 @@ class Import:
             return source, intervals(t_ns, active, self.log.end_ns, self.log.start_ns)
         return None
 
-    def _rates(self, readers: Mapping[str, RatesReader]) -> Stream:
+    def _rates(self) -> Stream:
         """Read the rates asked for, or the first that are fast enough, or the fastest."""
         fields = self.table["rates"]
-        usable = self.find("rates", fields, self.log.messages)
-        name = self.choose(usable)
+        usable = self._find("rates", fields, self.log.messages)
+        name = self._choose(usable)
         messages = usable[name]
-        rates, force = messages.values(*fields[name]), self._force(name, messages)
-        if name in readers:
-            rates, force = readers[name](self, messages, (rates, force))
+        force = self._force(name, messages)
+        rates, force = self.in_the_body(name, messages, messages.values(*fields[name]), force)
         sensor = self.table["gyros"].get(name, name)
         if len(instances := self.log.instances(sensor)) > 1:
-            self.findings.note(f"instances {instances} of {sensor} (--rates-instance)")
+            self.findings.read.append(f"instances {instances} of {sensor} (--rates-instance)")
         return rates_stream(messages.name, messages.sample_ns, rates, force)
 
-    def _actuators(
-        self,
-        readers: Mapping[str, ActuatorsReader],
-        explained: Callable[["Import", Usable], Usable],
-        find: Find,
-    ) -> Actuators:
+    def _actuators(self) -> Actuators:
         """Read the commands asked for, or the best of those that say what they move."""
-        usable = self.find("actuators", dict.fromkeys(readers, ()), find)
-        name = self.choose(explained(self, usable))
-        commands, channels = readers[name](self, usable[name])
-        self.findings.note(f"actuators: {commands.source}{self.table['stamped']}")
+        readers = self.readers()
+        usable = self._find("actuators", dict.fromkeys(readers, ()), self.commands)
+        name = self._choose(self.explained(usable))
+        commands, channels = readers[name](usable[name])
+        self.findings.read.append(f"actuators: {commands.source}{self.table['stamped']}")
         if usable[name].has("timestamp_sample"):
             delays = usable[name].stamp_ns - usable[name].sample_ns
-            self.findings.note(
+            self.findings.read.append(
                 "commands count from their publication (timestamp), in the median "
                 f"{np.median(delays) * 1e-6:.2f} ms after the gyro sample they answer "
                 "(timestamp_sample)"
@@ -285,11 +286,35 @@ class Import:
             raise self.log.refusal(f": {self.table['unexplained'].format(source=commands.source)}")
         return commands, channels
 
+    def demands(self, messages: Messages) -> Actuators:
+        """Read controls from before the mixer, which the table explains field by field."""
+        known = self.table["controls"][messages.name.partition("[")[0]]
+        channels = {
+            field: Channel(
+                entry["name"],
+                effect_of(entry),
+                f"{messages.name}.{field}",
+                1.0 / entry.get("unit", 1.0),
+            )
+            for field, entry in known.items()
+        }
+        lacks = [field for field in channels if not messages.has(field)]
+        if missing := [field for field in lacks if any(channels[field].effect)]:
+            raise self.log.refusal(
+                f": {messages.name} has no {', '.join(missing)}; it has "
+                f"{', '.join(messages.columns)}"
+            )
+        for field in lacks:
+            del channels[field]
+        return messages.stream(*channels), list(channels.values())
+
     def note_orientation(self, consequence: str) -> None:
         """Say how the board stands in the body, and who has turned the rates by it."""
         parameter = self.table["orientation"]["parameter"]
         if parameter not in self.log.parameters:
-            self.findings.assume(f"the log has no {parameter}: rotation none ({consequence})")
+            self.findings.assumed.append(
+                f"the log has no {parameter}: rotation none ({consequence})"
+            )
             return
         number = int(self.log.parameter(parameter))
         angles = table("rotations").get(number)
@@ -299,13 +324,15 @@ class Import:
             turns = " ".join(f"{axis} {angle:g} deg" for axis, angle in named if angle) or "none"
         if any(fine := self.fine_angles()):
             turns += ", fine offsets {:.2f} {:.2f} {:.2f} deg".format(*fine)
-        self.findings.note(f"board orientation: {parameter} {number}, {turns}; {consequence}")
+        self.findings.read.append(
+            f"board orientation: {parameter} {number}, {turns}; {consequence}"
+        )
 
     def fine_angles(self) -> list[float]:
         """Return by how much the board is turned beyond that: roll, pitch, yaw, deg."""
         return [self.log.parameter(name) for name in self.table["orientation"]["fine"]]
 
-    def _force(self, kind: str, rates: Messages) -> FloatArray | None:
+    def _force(self, kind: str, rates: Messages) -> Force:
         """Specific force with the rates: theirs, or of other messages that are fast enough."""
         forces = self.table["force"]
         if kind in forces and rates.has(*forces[kind]):
@@ -314,37 +341,24 @@ class Import:
             there = self.choice.rates_instance in self.log.instances(name)
             messages = self.log.messages(name, self.choice.rates_instance if there else 0)
             if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
-                self.findings.note(
+                self.findings.read.append(
                     f"specific force: {messages.name}, interpolated to the stamps of the rates"
                 )
                 return interpolate(rates.sample_ns, messages.sample_ns, messages.values(*fields))
-        self.findings.doubt("there is no accelerometer at a useful rate: ay and az are zero")
+        self.findings.lost.append("there is no accelerometer at a useful rate: ay and az are zero")
         return None
 
     # --- the rest ---------------------------------------------------------------------------------
 
-    def flight_log(
-        self,
-        rates: Mapping[str, RatesReader],  # By kind, where more is to be done than to read them
-        actuators: Mapping[str, ActuatorsReader],  # By kind, the preferred first
-        *,
-        hovers: Callable[[Stream], bool],  # Whether such commands are a multirotor's
-        # Gives the commands that say what they move, where not all do
-        explained: Callable[["Import", Usable], Usable] = lambda _, usable: usable,
-        find: Find | None = None,  # Finds commands, where not by name and instance
-    ) -> FlightLog:
-        """Read all that the table tells to read.
-
-        Raises
-        ------
-        ImportLogError
-            If there are no rates or no commands whose effect is known.
-        """
-        self.take_flight()
-        streams = {"rates": self._rates(rates)}
-        commands, channels = self._actuators(actuators, explained, find or self.log.messages)
+    def flight_log(self) -> FlightLog:
+        """Read all that the table tells to read."""
+        self._take_flight()
+        streams = {"rates": self._rates()}
+        commands, channels = self._actuators()
         streams |= {"actuators": commands} | self._estimates()
-        self.findings.note("stamps are the autopilot's time since its start, not the time of day")
+        self.findings.read.append(
+            "stamps are the autopilot's time since its start, not the time of day"
+        )
         known = self.table["parameters"]
         imported = tuple(known["imported"])
         self.findings.lost += [
@@ -361,7 +375,7 @@ class Import:
             convention=self.table["convention"],
             lever_arm=self._lever_arm(),
             flown=self.flown,
-            hovers=hovers(commands),
+            hovers=self.hovers(commands),
             ground_speed=self._ground_speed(),
             parameters={
                 name: value
@@ -391,13 +405,13 @@ class Import:
             streams["airspeed"] = Stream(messages.name, messages.sample_ns, speed[:, 0])
         if found := self._first("attitude"):
             messages, turned = found
-            if turned.shape[1] == EULER_ANGLES:
+            if turned.shape[1] == 3:  # roll, pitch, yaw, deg
                 turned = quaternions(*np.radians(turned).T)
             streams["attitude"] = Stream(messages.name, messages.sample_ns, turned)
         if found := self._first("setpoint"):
             messages, rates = found
             fields = ", ".join(self.table["streams"]["setpoint"][messages.name])
-            self.findings.note(f"rates asked for: {messages.name}.{fields}")
+            self.findings.read.append(f"rates asked for: {messages.name}.{fields}")
             unit = self.table["setpoint_unit"]
             streams["setpoint"] = Stream(messages.name, messages.stamp_ns, unit * rates)
         if found := self._first("mode"):
@@ -407,14 +421,16 @@ class Import:
             changed = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
             names = self.table["modes"]
             modes = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
-            self.findings.note(f"mode: {messages.name}.{field}: {', '.join(dict.fromkeys(modes))}")
+            self.findings.read.append(
+                f"mode: {messages.name}.{field}: {', '.join(dict.fromkeys(modes))}"
+            )
             streams["mode"] = Stream(messages.name, messages.stamp_ns[changed], modes)
         return streams
 
     def _airspeed_ratio(self, airspeed: Messages) -> FloatArray:
         """Return the ratio of true to indicated airspeed (k, 1); 1 where it is not logged."""
         if (found := self._first("airspeed_ratio")) is None:
-            self.findings.assume(
+            self.findings.assumed.append(
                 f"{airspeed.name} is indicated airspeed; without a ratio it is taken as true"
             )
             return np.ones((1, 1))
@@ -426,10 +442,10 @@ class Import:
         prefix = self.table["parameters"]["lever_arm"].format(self.choice.rates_instance + 1)
         x, y, z = (self.log.parameter(f"{prefix}{axis}") for axis in "XYZ")
         if any((x, y, z)):
-            self.findings.note(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
+            self.findings.read.append(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
         else:
             said_by = f" ({prefix}* 0)" if prefix else ""
-            self.findings.assume(f"the accelerometer is at the centre of gravity{said_by}")
+            self.findings.assumed.append(f"the accelerometer is at the centre of gravity{said_by}")
         return x, y, z
 
     def _ground_speed(self) -> float:

@@ -3,6 +3,8 @@
 
 import logging
 import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +31,7 @@ WRAP = 2.0**32
 
 
 def read_blackbox(path: Path, choice: Choice) -> FlightLog:
-    """Read the longest log of a file.
-
-    Raises
-    ------
-    ImportLogError
-        If orangebox is missing, or the file cannot be read, or lacks rates or known motors.
-    """
+    """Read the longest log of a file."""
     if choice != Choice():
         raise ImportLogError(f"log '{path}': a blackbox has one set of rates and one of motors")
     log = Log(path)
@@ -44,13 +40,52 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
     log.parameters |= {k: float(v) for k, v in headers.items() if isinstance(v, int | float)}
     t_ns = frames["time"].astype(np.int64) * NS_PER_US
     for name, scale in _scales(log, headers, frames).items():
-        columns = {field: v * scale for field, v in frames.items() if field.startswith(f"{name}[")}
+        columns = {
+            signal: v * scale for signal, v in frames.items() if signal.startswith(f"{name}[")
+        }
         if columns:
             log.add(name, 0, {IN_NS: t_ns, **columns})
     if not log.kinds:
         raise log.refusal(" has no frame with a stamp that a clock gave")
-    readers = {"motor": lambda it, messages: _motors(it.log, headers, messages)}
-    return Import(log, KNOWN, choice).flight_log({}, readers, hovers=lambda _: True)
+    return _Blackbox(log, KNOWN, choice, headers=headers).flight_log()
+
+
+@dataclass
+class _Blackbox(Import):
+    headers: Mapping[str, Any] = field(default_factory=dict)
+
+    def hovers(self, commands: Stream) -> bool:
+        return True
+
+    def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
+        return {"motor": self._motors}
+
+    def _motors(self, messages: Messages) -> Actuators:
+        """Motors of a quadrotor in X, in Betaflight's order."""
+        log, headers = self.log, self.headers
+        commands = Stream(messages.name, messages.stamp_ns, messages.array("motor"))
+        count, arms = commands.values.shape[1], KNOWN["quad_x"]
+        if count != len(arms):
+            raise log.refusal(
+                f" has {count} motors: only quadrotors are known, whose mixer is quad x"
+            )
+        turned = ", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else ""
+        if turned:
+            other = {"cw": "ccw", "ccw": "cw"}
+            arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
+        throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
+        low, high = headers.get("motorOutput", throttle)
+        said_by = "motorOutput" if "motorOutput" in headers else "minthrottle, maxthrottle"
+        log.findings.read.append(f"motor commands from {low} to {high} ({said_by})")
+        log.findings.assumed.append(
+            "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, "
+            f"front left), propellers turning inwards at the front{turned}"
+        )
+        motors = [
+            Channel(f"motor_{i}", effect, "motor of quad x", unit="counts")
+            for i, effect in enumerate(effects_of_arms(arms), 1)
+        ]
+        return commands, [over_range(motor, float(low), float(high)) for motor in motors]
 
 
 def _scales(log: Log, headers: dict[str, Any], frames: dict[str, Column]) -> dict[str, float]:
@@ -64,7 +99,7 @@ def _scales(log: Log, headers: dict[str, Any], frames: dict[str, Column]) -> dic
     if one_g > 0.0 and np.any(measured):
         scales["accSmooth"] = GRAVITY / one_g
     elif measured:
-        log.findings.doubt(
+        log.findings.lost.append(
             "the accelerometer (accSmooth) is off (acc_1G 0, or zero throughout): the model has no "
             "forces"
         )
@@ -83,7 +118,7 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
     longest = int(np.argmax(np.diff(starts))) + 1
     parser.set_log_index(longest)
     if len(starts) > 2:
-        log.findings.note(f"log {longest} of {len(starts) - 1} in this file, the longest")
+        log.findings.read.append(f"log {longest} of {len(starts) - 1} in this file, the longest")
     frames: list[tuple[float, ...]] = []
     try:
         for frame in parser.frames():
@@ -91,7 +126,7 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
     except Exception as error:  # damaged bytes make a parser fail in many ways
         reader = parser.reader
         if reader.tell() >= len(reader):
-            log.findings.doubt("the file is cut off at its end: what is there was read")
+            log.findings.lost.append("the file is cut off at its end: what is there was read")
         else:
             log.findings.damage.append(
                 f"the file is damaged: orangebox stopped at byte {reader.tell()} of {len(reader)} "
@@ -128,32 +163,7 @@ def _note_missing(iterations: Any, log: Log) -> None:
     gaps = steps[steps > 1.5 * usual]
     if len(gaps):
         missing = round(float((gaps / usual - 1.0).sum()))
-        log.findings.doubt(
+        log.findings.lost.append(
             f"{missing} of {missing + len(iterations)} frames are missing or damaged, in "
             f"{len(gaps)} places"
         )
-
-
-def _motors(log: Log, headers: dict[str, Any], messages: Messages) -> Actuators:
-    """Motors of a quadrotor in X, in Betaflight's order."""
-    commands = Stream(messages.name, messages.stamp_ns, messages.array("motor"))
-    count, arms = commands.values.shape[1], KNOWN["quad_x"]
-    if count != len(arms):
-        raise log.refusal(f" has {count} motors: only quadrotors are known, whose mixer is quad x")
-    turned = ", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else ""
-    if turned:
-        other = {"cw": "ccw", "ccw": "cw"}
-        arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
-    throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
-    low, high = headers.get("motorOutput", throttle)
-    said_by = "motorOutput" if "motorOutput" in headers else "minthrottle, maxthrottle"
-    log.findings.note(f"motor commands from {low} to {high} ({said_by})")
-    log.findings.assume(
-        "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, front "
-        f"left), propellers turning inwards at the front{turned}"
-    )
-    motors = [
-        Channel(f"motor_{i}", effect, "motor of quad x", unit="counts")
-        for i, effect in enumerate(effects_of_arms(arms), 1)
-    ]
-    return commands, [over_range(motor, float(low), float(high)) for motor in motors]

@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import Actuators, Import
-from uav_ident_ros.import_logs.flight_log import Channel, Effect, Stream
-from uav_ident_ros.import_logs.log import Messages
+from uav_ident_ros.import_logs.flight_log import Channel, Effect
 
 PWM_MIN, PWM_TRIM, PWM_MAX = 1000.0, 1500.0, 2000.0
 """Pulse widths of least, rest and full where no parameter says, us."""
@@ -89,33 +87,6 @@ def over_range(
     scale = (-halves if turned else halves) / (high - low)
     meaning = f"{channel.meaning}, {span} {channel.unit}{', reversed' if turned else ''}"
     return replace(channel, meaning=meaning, scale=scale, neutral=rest)
-
-
-def demands(it: Import, messages: Messages) -> Actuators:
-    """Read controls from before the mixer, which the table explains field by field.
-
-    Raises
-    ------
-    ImportLogError
-        If one that moves something is missing.
-    """
-    fields = it.table["controls"][messages.name.partition("[")[0]]
-    effects = {field: effect_of(entry) for field, entry in fields.items()}
-    if missing := [f for f, effect in effects.items() if any(effect) and not messages.has(f)]:
-        raise it.log.refusal(
-            f": {messages.name} has no {', '.join(missing)}; it has {', '.join(messages.columns)}"
-        )
-    there = [field for field in fields if messages.has(field)]
-    channels = [
-        Channel(
-            fields[field]["name"],
-            effects[field],
-            f"{messages.name}.{field}",
-            1.0 / fields[field].get("unit", 1.0),
-        )
-        for field in there
-    ]
-    return Stream(messages.name, messages.stamp_ns, messages.values(*there)), channels
 
 
 def named_once(channels: Sequence[Channel]) -> list[Channel]:

@@ -127,13 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def read_log(options: argparse.Namespace) -> FlightLog:
-    """Read the log as the options say; whatever its bytes do to a reader becomes one line.
-
-    Raises
-    ------
-    ImportLogError
-        If it is of no known kind or cannot be used.
-    """
+    """Read the log as the options say; whatever its bytes do to a reader becomes one line."""
     try:
         log = _read(options.log, options)
     except ImportLogError:
@@ -192,11 +186,11 @@ def _note_streams(log: FlightLog) -> None:
     """Add to the findings what the stamps tell."""
     for name, stream in log.streams.items():
         if name != CHANGES:
-            log.findings.note(f"{name}: {describe(stream.t_ns)}")
+            log.findings.read.append(f"{name}: {describe(stream.t_ns)}")
             log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(stream.t_ns)]
     values = log.streams["actuators"].values[:, [column for column, _ in log.used]]
     if without := int((~np.isfinite(values)).any(axis=1).sum()):
-        log.findings.doubt(
+        log.findings.lost.append(
             f"actuators: {without} samples lack a value of a channel in use, as of a motor that is "
             "off: they will be dropped"
         )

@@ -67,13 +67,7 @@ class Kind:
 
 
 def read_dataflash(path: Path, types: Collection[str]) -> Log:
-    """Read some types of the messages of a dataflash log.
-
-    Raises
-    ------
-    ImportLogError
-        If the file cannot be read.
-    """
+    """Read some types of the messages of a dataflash log."""
     log, data = Log(path), read_bytes(path)
     found = _Dataflash(data)
     places, gaps = found.walk(0)

@@ -109,18 +109,6 @@ class Findings:
     assumed: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)  # What is missing or doubtful
 
-    def note(self, sentence: str) -> None:
-        """Add what the log itself says."""
-        self.read.append(sentence)
-
-    def assume(self, sentence: str) -> None:
-        """Add what was taken for granted."""
-        self.assumed.append(sentence)
-
-    def doubt(self, sentence: str) -> None:
-        """Add what is missing or doubtful."""
-        self.lost.append(sentence)
-
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
@@ -164,17 +152,11 @@ class FlightLog:
         return inside(t_ns, self.flown) if self.flown else np.ones(len(t_ns), dtype=bool)
 
     def only_flight(self) -> FlightLog:
-        """Return the log without what is known to be on the ground.
-
-        Raises
-        ------
-        ImportLogError
-            If the log does not say when it flew, or never did.
-        """
+        """Return the log without what is known to be on the ground."""
         if not self.flown:
             reason = "it never flew" if self.flown is not None else "it does not say when it flew"
             raise ImportLogError(f"log '{self.path}': {reason}: leave --flight-only out")
-        self.findings.doubt("what was logged on the ground is left out (--flight-only)")
+        self.findings.lost.append("what was logged on the ground is left out (--flight-only)")
         streams = {name: s.chosen(self.in_flight(name)) for name, s in self.streams.items()}
         for name in ("rates", "actuators"):
             if not len(streams[name].t_ns):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError
+from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError, Stream
 from uav_ident_ros.import_logs.stamps import plausible, rate
 from uav_ident_ros.messages.types import NS_PER_US
 
@@ -63,6 +63,10 @@ class Messages:
         """Values of some fields, shape (k, number of fields)."""
         with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
             return np.column_stack([self.columns[field] for field in fields]).astype(float)
+
+    def stream(self, *fields: str) -> Stream:
+        """Return some fields, or all of an array field, as they were published."""
+        return Stream(self.name, self.stamp_ns, self.values(*fields))
 
     def array(self, field: str) -> FloatArray:
         """Values of an array field, shape (k, its length)."""

@@ -7,6 +7,7 @@ meaning is in the parameters ``CA_*``, and before the allocation `vehicle_torque
 and `actuator_outputs`, behind it.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -15,19 +16,10 @@ import numpy as np
 
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import (
-    Actuators,
-    ActuatorsReader,
-    Import,
-    Rates,
-    Usable,
-    kinds,
-    table,
-)
+from uav_ident_ros.import_logs.autopilot import Actuators, Force, Import, Usable, kinds, table
 from uav_ident_ros.import_logs.channels import (
     PWM_MAX,
     PWM_MIN,
-    demands,
     effect_of,
     effects_of_arms,
     named_once,
@@ -62,99 +54,213 @@ MOST_GYROS = 4
 
 
 def read_px4(path: Path, choice: Choice) -> FlightLog:
-    """Read a PX4 log: a ULog file, or a folder that ulog2csv has written.
-
-    Raises
-    ------
-    ImportLogError
-        If the file cannot be read, or has no rates or no actuators.
-    """
-    log = (read_folder if path.is_dir() else read_ulog)(path, kinds(KNOWN) | {*READERS})
-    it = Import(log, KNOWN, choice)
+    """Read a PX4 log: a ULog file, or a folder that ulog2csv has written."""
+    topics = kinds(KNOWN) | {*ALLOCATED, OUTPUTS}
+    log = (read_folder if path.is_dir() else read_ulog)(path, topics)
+    it = _Px4(log, KNOWN, choice)
     status = log.messages("vehicle_status")
     kind = status.columns.get("vehicle_type", [None])[-1] if status else None
     it.refuse_others(log.parameters | {"vehicle_status.vehicle_type": kind})
-    rates = {"sensor_combined": _valid_force, "sensor_gyro": _in_the_body}
+    return it.flight_log()
 
-    def find(name: str, instance: int) -> Messages | None:
+
+class _Px4(Import):
+    # --- rates ------------------------------------------------------------------------------------
+
+    def in_the_body(
+        self, kind: str, messages: Messages, rates: FloatArray, force: Force
+    ) -> tuple[FloatArray, Force]:
+        if kind == "sensor_combined":
+            self.note_orientation("PX4 has turned sensor_combined by it")
+            return rates, self._valid_force(messages, force)
+        if kind == "sensor_gyro":
+            return self._calibrated(messages, rates), force
+        return rates, force
+
+    def _valid_force(self, combined: Messages, force: Force) -> Force:
+        """Hold the last valid specific force of sensor_combined."""
+        relative = combined.columns["accelerometer_timestamp_relative"]
+        valid = relative != PX4_RELATIVE_TIMESTAMP_INVALID
+        if force is None or not valid.any():
+            self.findings.lost.append("there is no valid accelerometer sample: ay and az are zero")
+            return None
+        if not valid.all():
+            self.findings.lost.append(
+                f"{int((~valid).sum())} accelerometer samples are invalid: held over"
+            )
+        if offset := float(np.median(relative[valid])) * 1e-3:
+            self.findings.read.append(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
+        last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
+        return np.asarray(force[last])
+
+    def _calibrated(self, gyro: Messages, rates: FloatArray) -> FloatArray:
+        """Apply offset and rotation to the rates of one gyro, in the board's axes."""
+        if not gyro.has("timestamp_sample"):
+            self.findings.assumed.append(
+                "sensor_gyro without timestamp_sample (before v1.11) is calibrated, filtered and "
+                "turned into body axes by its driver"
+            )
+            return rates
+        number = int(self.log.parameter("SENS_BOARD_ROT"))
+        listed = table("rotations").get(number)
+        if listed is None:
+            raise self.log.refusal(
+                f": SENS_BOARD_ROT is {number}, which is not known: --rates-topic sensor_combined "
+                "or vehicle_angular_velocity needs no rotation"
+            )
+        board = rotation(*np.radians(self.fine_angles())) @ rotation(*np.radians(listed))
+        self.note_orientation("applied here to sensor_gyro, which is in the board's axes")
+        return np.asarray((rates - self._gyro_offset(gyro)) @ board.T)
+
+    def _gyro_offset(self, gyro: Messages) -> FloatArray:
+        """Calibrated offset of the gyro with this device number, rad/s, board axes."""
+        device = int(gyro.columns["device_id"][0]) if gyro.has("device_id") else 0
+        for i in range(MOST_GYROS):
+            if device and int(self.log.parameter(f"CAL_GYRO{i}_ID")) == device:
+                self.findings.read.append(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")
+                return np.array([self.log.parameter(f"CAL_GYRO{i}_{axis}OFF") for axis in "XYZ"])
+        self.findings.assumed.append("no CAL_GYROi_ID is this gyro's: its offset is taken as zero")
+        return np.zeros(3)
+
+    # --- commands ---------------------------------------------------------------------------------
+
+    def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
+        # The pulse widths, whose meaning is the least certain, last.
+        return {
+            **dict.fromkeys(ALLOCATED, self._allocated),
+            SETPOINTS[0]: self._setpoints,
+            f"{CONTROLS}0": self.demands,
+            f"{CONTROLS}1": self.demands,
+            OUTPUTS: self._outputs,
+        }
+
+    def commands(self, name: str, instance: int) -> Messages | None:
         if not name.startswith(CONTROLS):
-            return log.messages(name, instance)
+            return self.log.messages(name, instance)
         # The sets of a VTOL of old are topics of their own.
-        wanted = choice.actuators_topic or f"{CONTROLS}{instance}"
-        return log.messages(name) if name == wanted else None
+        wanted = self.choice.actuators_topic or f"{CONTROLS}{instance}"
+        return self.log.messages(name) if name == wanted else None
 
-    return it.flight_log(
-        rates, READERS, hovers=lambda _: _hovers(it), explained=_explained, find=find
-    )
+    def explained(self, usable: Usable) -> Usable:
+        if (sets := _sets_of_a_vtol(self.log)) is not None:
+            self.findings.assumed.append(
+                f"a VTOL: {sets[0]} are the commands of hover, {sets[1]} those of forward flight "
+                f"(--actuators-instance); {self.choice.actuators_instance} is taken"
+            )
+            if sets[0].startswith(SETPOINTS[0]) and SETPOINTS[0] in usable:
+                return {SETPOINTS[0]: usable[SETPOINTS[0]]}
+        counts = {name: self.log.parameter(count) for name, count in ALLOCATED.items()}
+        explained = {name: m for name, m in usable.items() if counts.get(name, 1.0) > 0}
+        if not any(self._functions()) and self.log.parameters.get("MAV_TYPE") != QUADROTOR:
+            explained.pop(OUTPUTS, None)
+        streams = explained or dict(usable)
+        if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
+            del streams[max(reversed(ALLOCATED), key=lambda name: streams[name].rate)]
+        return streams
+
+    def hovers(self, commands: Stream) -> bool:
+        if _sets_of_a_vtol(self.log) is not None:
+            return self.choice.actuators_instance == 0
+        said_by = "CA_AIRFRAME" if "CA_AIRFRAME" in self.log.parameters else "MAV_TYPE"
+        return self.log.parameters.get(said_by) in KNOWN["multirotors"][said_by]
+
+    def _allocated(self, _: Messages) -> Actuators:
+        """Motors and servos behind the control allocation."""
+        parts: list[Stream] = []
+        channels: list[Channel] = []
+        for name, describe in zip(ALLOCATED, (_motors, _servos), strict=True):
+            if (topic := self.log.messages(name, self.choice.actuators_instance)) is not None:
+                values = topic.array("control")
+                in_use = np.flatnonzero(~np.isnan(values).all(axis=0))
+                every = describe(self.log, values.shape[1])
+                channels += [every[i] for i in in_use]
+                parts.append(Stream(topic.name, topic.stamp_ns, values[:, in_use]))
+        commands = reduce(Stream.joined, parts)
+        if not channels:
+            raise self.log.refusal(
+                f": {commands.source} hold no value throughout: the motors were never on"
+            )
+        return commands, channels
+
+    def _setpoints(self, torque: Messages) -> Actuators:
+        """Torque and thrust asked of the control allocation."""
+        commands, channels = self.demands(torque)
+        thrust = self.log.messages(SETPOINTS[1], self.choice.actuators_instance)
+        if thrust is None:
+            self.findings.lost.append(f"there is no {SETPOINTS[1]}: dth is zero throughout")
+            return commands, channels
+        forces, axes = self.demands(thrust)
+        acting = (0.0, 0.0, -1.0) if _lifts(self.log, forces.values) else (1.0, 0.0, 0.0)
+        for axis, share in zip(axes, acting, strict=True):
+            channels.append(replace(axis, effect=effect_of({"thrust": share})))
+        return commands.joined(forces), channels
+
+    def _pins(self) -> str:
+        """Return the first letters of the parameters of an instance of actuator_outputs."""
+        return PINS[min(self.choice.actuators_instance, 1)]
+
+    def _functions(self) -> list[int]:
+        """Return the functions of the pins that an instance of actuator_outputs may have."""
+        pins = range(1, MOST_PINS + 1)
+        return [int(self.log.parameter(f"{self._pins()}_FUNC{pin}")) for pin in pins]
+
+    def _outputs(self, topic: Messages) -> Actuators:
+        """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
+        log, prefix, functions = self.log, self._pins(), self._functions()
+        values = topic.array("output")
+        count = min(int(np.max(topic.columns["noutputs"])) or MOST_PINS, values.shape[1])
+        # The range of all pins: of a group of pins (v1.12), of all (before), of none (from v1.13)
+        said_by = {
+            end: next((n for n in (f"{prefix}_{end}", f"PWM_{end}") if n in log.parameters), "")
+            for end in ("MIN", "MAX")
+        }
+        usual = {
+            end: log.parameter(said_by[end], width)
+            for end, width in (("MIN", PWM_MIN), ("MAX", PWM_MAX))
+        }
+        servos: dict[int, Channel] = {}
+        if any(functions):
+            known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
+            servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
+            said = f"{prefix}_FUNC{{}} {{}}"
+            instance = self.choice.actuators_instance
+            log.findings.assumed.append(
+                f"instance {instance} of actuator_outputs are the pins {prefix}"
+            )
+        elif log.parameters.get("MAV_TYPE") == QUADROTOR:
+            arms = enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
+            known = {i: Channel(f"motor_{i}", effect, "") for i, effect in arms}
+            functions, said = [*range(1, MOST_PINS + 1)], "output of quad x"
+            log.findings.assumed.append(
+                "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear "
+                "right) on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
+            )
+            by = f" ({', '.join(said_by.values())})" if all(said_by.values()) else ""
+            log.findings.read.append(
+                f"pulse widths from {usual['MIN']:g} to {usual['MAX']:g} us{by}"
+            )
+        else:
+            raise log.refusal(
+                f": no parameter {prefix}_FUNCn says what the actuator_outputs move; "
+                "try --actuators-topic actuator_controls_0"
+            )
+        channels = []
+        for pin, function in enumerate(functions[:count], 1):
+            channel = Channel(f"output_{pin}", NO_EFFECT, said.format(pin, function), unit="us")
+            if (moved := (known | servos).get(function)) is not None:
+                channel = replace(channel, name=moved.name, effect=moved.effect)
+                # -1: as of all pins
+                own = {end: log.parameter(f"{prefix}_{end}{pin}", -1.0) for end in usual}
+                ends = [width if width >= 0.0 else usual[end] for end, width in own.items()]
+                centre = sum(ends) / 2.0 if function in servos else None
+                bit = int(log.parameter(f"{prefix}_REV")) >> (pin - 1) & 1
+                turned = bool(bit or log.parameter(f"{prefix}_REV{pin}"))
+                channel = over_range(channel, *ends, centre=centre, turned=turned)
+            channels.append(channel)
+        return Stream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)
 
 
-def _valid_force(it: Import, topic: Messages, found: Rates) -> Rates:
-    """Hold the last valid specific force of sensor_combined."""
-    it.note_orientation("PX4 has turned sensor_combined by it")
-    relative, (rates, force) = topic.columns["accelerometer_timestamp_relative"], found
-    valid = relative != PX4_RELATIVE_TIMESTAMP_INVALID
-    if force is None or not valid.any():
-        it.findings.doubt("there is no valid accelerometer sample: ay and az are zero")
-        return rates, None
-    if not valid.all():
-        it.findings.doubt(f"{int((~valid).sum())} accelerometer samples are invalid: held over")
-    if offset := float(np.median(relative[valid])) * 1e-3:
-        it.findings.note(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
-    return rates, force[np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))]
-
-
-def _in_the_body(it: Import, topic: Messages, found: Rates) -> Rates:
-    """Apply offset and rotation to the rates of one gyro, uncalibrated and in the board's axes."""
-    rates, force = found
-    if not topic.has("timestamp_sample"):
-        it.findings.assume(
-            "sensor_gyro without timestamp_sample (before v1.11) is calibrated, filtered and "
-            "turned into body axes by its driver"
-        )
-        return found
-    number = int(it.log.parameter("SENS_BOARD_ROT"))
-    listed = table("rotations").get(number)
-    if listed is None:
-        raise it.log.refusal(
-            f": SENS_BOARD_ROT is {number}, which is not known: "
-            "--rates-topic sensor_combined or vehicle_angular_velocity needs no rotation"
-        )
-    board = rotation(*np.radians(it.fine_angles())) @ rotation(*np.radians(listed))
-    it.note_orientation("applied here to sensor_gyro, which is in the board's axes")
-    return (rates - _gyro_offset(it.log, topic)) @ board.T, force
-
-
-def _gyro_offset(log: Log, topic: Messages) -> FloatArray:
-    """Calibrated offset of the gyro with this device number, rad/s, board axes."""
-    device = int(topic.columns["device_id"][0]) if topic.has("device_id") else 0
-    for i in range(MOST_GYROS):
-        if device and int(log.parameter(f"CAL_GYRO{i}_ID")) == device:
-            log.findings.note(f"gyro offset: CAL_GYRO{i}_XOFF, YOFF, ZOFF, subtracted")
-            return np.array([log.parameter(f"CAL_GYRO{i}_{axis}OFF") for axis in "XYZ"])
-    log.findings.assume("no CAL_GYROi_ID is this gyro's: its offset is taken as zero")
-    return np.zeros(3)
-
-
-# --- commands -----------------------------------------------------------------------------------
-
-
-def _explained(it: Import, usable: Usable) -> Usable:
-    """Return the topics that say what they move; all, if none do."""
-    if (sets := _sets_of_a_vtol(it.log)) is not None:
-        it.findings.assume(
-            f"a VTOL: {sets[0]} are the commands of hover, {sets[1]} those of forward flight "
-            f"(--actuators-instance); {it.choice.actuators_instance} is taken"
-        )
-        if sets[0].startswith(SETPOINTS[0]) and SETPOINTS[0] in usable:
-            return {SETPOINTS[0]: usable[SETPOINTS[0]]}
-    counts = {name: it.log.parameter(count) for name, count in ALLOCATED.items()}
-    explained = {name: m for name, m in usable.items() if counts.get(name, 1.0) > 0}
-    if not any(_functions(it)) and it.log.parameters.get("MAV_TYPE") != QUADROTOR:
-        explained.pop(OUTPUTS, None)
-    streams = explained or dict(usable)
-    if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
-        del streams[max(reversed(ALLOCATED), key=lambda name: streams[name].rate)]
-    return streams
+# --- what the parameters say ----------------------------------------------------------------------
 
 
 def _sets_of_a_vtol(log: Log) -> tuple[str, str] | None:
@@ -166,33 +272,16 @@ def _sets_of_a_vtol(log: Log) -> tuple[str, str] | None:
     return None
 
 
-def _hovers(it: Import) -> bool:
-    """Whether the commands are those of a multirotor: of one, or of a VTOL's hover."""
-    if _sets_of_a_vtol(it.log) is not None:
-        return it.choice.actuators_instance == 0
-    said_by = "CA_AIRFRAME" if "CA_AIRFRAME" in it.log.parameters else "MAV_TYPE"
-    return it.log.parameters.get(said_by) in KNOWN["multirotors"][said_by]
-
-
-# --- control allocation -----------------------------------------------------------------------
-
-
-def _allocated(it: Import, _: Messages) -> Actuators:
-    """Motors and servos behind the control allocation."""
-    parts: list[Stream] = []
-    channels: list[Channel] = []
-    for name, describe in zip(ALLOCATED, (_motors, _servos), strict=True):
-        if (topic := it.log.messages(name, it.choice.actuators_instance)) is not None:
-            values = topic.array("control")
-            in_use = np.flatnonzero(~np.isnan(values).all(axis=0))
-            every = describe(it.log, values.shape[1])
-            channels += [every[i] for i in in_use]
-            parts.append(Stream(topic.name, topic.stamp_ns, values[:, in_use]))
-    commands = reduce(Stream.joined, parts)
-    if not channels:
-        raise it.log.refusal(f": {commands.source} hold no value throughout: the motors were never "
-                             "on")  # fmt: skip
-    return commands, channels
+def _lifts(log: Log, forces: FloatArray) -> bool:
+    """Whether the thrust that counts points up rather than forward."""
+    airframe = log.parameters.get("CA_AIRFRAME")
+    if airframe in (MULTIROTOR, FIXED_WING):
+        return airframe == MULTIROTOR
+    up, ahead = (float(np.nanmean(np.abs(forces[:, axis]))) for axis in (2, 0))
+    log.findings.assumed.append(
+        f"dth is the {'upward' if up >= ahead else 'forward'} thrust: it is larger"
+    )
+    return up >= ahead
 
 
 def _motors(log: Log, count: int) -> list[Channel]:
@@ -207,19 +296,21 @@ def _motors(log: Log, count: int) -> list[Channel]:
 
         positions = np.column_stack([of_all("PX"), of_all("PY")])
         effects[:rotors] = rotor_effects(positions, of_all("KM", 0.05), of_all("CT", 6.5))
-        log.findings.note(
+        log.findings.read.append(
             f"{rotors} rotors: positions, senses of rotation and thrusts from CA_ROTORi_PX, PY, "
             "KM, CT"
         )
-        log.findings.assume(
+        log.findings.assumed.append(
             "thrust is taken as proportional to the command about its trim: a constant factor if "
             "THR_MDL_FAC is not"
         )
     elif rotors and airframe == FIXED_WING:
         effects[:rotors] = [(0.0, 0.0, 0.0, 1.0 / rotors)] * rotors
-        log.findings.note(f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean")
+        log.findings.read.append(
+            f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean"
+        )
     elif rotors:
-        log.findings.assume(
+        log.findings.assumed.append(
             f"CA_AIRFRAME {airframe}: what the motors turn is not known here, they are only "
             "recorded"
         )
@@ -244,104 +335,8 @@ def _servos(log: Log, count: int) -> list[Channel]:
     channels += [Channel(f"servo_{i + 1}", NO_EFFECT, "servo") for i in range(surfaces, count)]
     channels = named_once(channels)
     if surfaces:
-        log.findings.note(
+        log.findings.read.append(
             f"{surfaces} control surfaces, types and torques from CA_SV_CSi_TYPE and _TRQ_R, _P, "
             f"_Y: {', '.join(channel.name for channel in channels[:surfaces])}"
         )
     return channels
-
-
-# --- before the allocation, and behind the mixer ------------------------------------------------
-
-
-def _setpoints(it: Import, torque: Messages) -> Actuators:
-    """Torque and thrust asked of the control allocation."""
-    commands, channels = demands(it, torque)
-    thrust = it.log.messages(SETPOINTS[1], it.choice.actuators_instance)
-    if thrust is None:
-        it.findings.doubt("there is no vehicle_thrust_setpoint: dth is zero throughout")
-        return commands, channels
-    forces, axes = demands(it, thrust)
-    acting = (0.0, 0.0, -1.0) if _lifts(it.log, forces.values) else (1.0, 0.0, 0.0)
-    for axis, share in zip(axes, acting, strict=True):
-        channels.append(replace(axis, effect=effect_of({"thrust": share})))
-    return commands.joined(forces), channels
-
-
-def _lifts(log: Log, forces: FloatArray) -> bool:
-    """Whether the thrust that counts points up rather than forward."""
-    airframe = log.parameters.get("CA_AIRFRAME")
-    if airframe in (MULTIROTOR, FIXED_WING):
-        return airframe == MULTIROTOR
-    up, ahead = (float(np.nanmean(np.abs(forces[:, axis]))) for axis in (2, 0))
-    log.findings.assume(f"dth is the {'upward' if up >= ahead else 'forward'} thrust: it is larger")
-    return up >= ahead
-
-
-def _functions(it: Import) -> list[int]:
-    """Return the functions of the pins that an instance of actuator_outputs may have."""
-    prefix = PINS[min(it.choice.actuators_instance, 1)]
-    return [int(it.log.parameter(f"{prefix}_FUNC{pin}")) for pin in range(1, MOST_PINS + 1)]
-
-
-def _outputs(it: Import, topic: Messages) -> Actuators:
-    """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
-    log, instance = it.log, it.choice.actuators_instance
-    prefix, functions = PINS[min(instance, 1)], _functions(it)
-    values = topic.array("output")
-    count = min(int(np.max(topic.columns["noutputs"])) or MOST_PINS, values.shape[1])
-    servos: dict[int, Channel] = {}
-    # The range of all pins: of a group of pins (v1.12), of all (before), of none (from v1.13 on)
-    usual = {
-        end: log.parameter(f"{prefix}_{end}", log.parameter(f"PWM_{end}", width))
-        for end, width in (("MIN", PWM_MIN), ("MAX", PWM_MAX))
-    }
-    if any(functions):
-        known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
-        servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
-        said = f"{prefix}_FUNC{{}} {{}}"
-        log.findings.assume(f"instance {instance} of actuator_outputs are the pins {prefix}")
-    elif log.parameters.get("MAV_TYPE") == QUADROTOR:
-        arms = enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
-        known = {i: Channel(f"motor_{i}", effect, "") for i, effect in arms}
-        functions, said = [*range(1, MOST_PINS + 1)], "output of quad x"
-        log.findings.assume(
-            "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear "
-            "right) on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
-        )
-        names = [
-            next((name for name in (f"{prefix}_{end}", f"PWM_{end}") if name in log.parameters), "")
-            for end in usual
-        ]
-        by = f" ({', '.join(names)})" if all(names) else ""
-        log.findings.note(f"pulse widths from {usual['MIN']:g} to {usual['MAX']:g} us{by}")
-    else:
-        raise log.refusal(
-            f": no parameter {prefix}_FUNCn says what the actuator_outputs move; "
-            "try --actuators-topic actuator_controls_0"
-        )
-    channels = []
-    for pin, function in enumerate(functions[:count], 1):
-        channel = Channel(f"output_{pin}", NO_EFFECT, said.format(pin, function), unit="us")
-        if (moved := (known | servos).get(function)) is not None:
-            channel = replace(channel, name=moved.name, effect=moved.effect)
-            # -1: as of all pins
-            own = {end: log.parameter(f"{prefix}_{end}{pin}", -1.0) for end in usual}
-            ends = [width if width >= 0.0 else usual[end] for end, width in own.items()]
-            centre = sum(ends) / 2.0 if function in servos else None
-            bit = int(log.parameter(f"{prefix}_REV")) >> (pin - 1) & 1
-            turned = bool(bit or log.parameter(f"{prefix}_REV{pin}"))
-            channel = over_range(channel, *ends, centre=centre, turned=turned)
-        channels.append(channel)
-    return Stream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)
-
-
-READERS: dict[str, ActuatorsReader] = {
-    **dict.fromkeys(ALLOCATED, _allocated),
-    SETPOINTS[0]: _setpoints,
-    f"{CONTROLS}0": demands,
-    f"{CONTROLS}1": demands,
-    OUTPUTS: _outputs,
-}
-"""Readers by topic, nearest to the actuators first; the pulse widths, whose meaning is the least
-certain, last."""

@@ -62,13 +62,7 @@ DEEPEST = 8
 
 
 def read_ulog(path: Path, topics: Collection[str]) -> Log:
-    """Read some topics of a ULog file, and all it says of itself.
-
-    Raises
-    ------
-    ImportLogError
-        If the file cannot be read.
-    """
+    """Read some topics of a ULog file, and all it says of itself."""
     log, data = Log(path), read_bytes(path)
     try:
         from pyulog import ULog
@@ -103,7 +97,7 @@ def read_ulog(path: Path, topics: Collection[str]) -> Log:
             log.set_parameter(name, value, t)
     log.title = _title(ulog.msg_info_dict)
     if lost := [dropout.duration * 1e-3 for dropout in ulog.dropouts]:
-        log.findings.doubt(
+        log.findings.lost.append(
             f"the logger lost messages {len(lost)} times, together {sum(lost):.3g} s, at most "
             f"{max(lost):.3g} s (dropouts)"
         )
@@ -213,13 +207,7 @@ PARAMETERS = re.compile(r".*param(s|eters)?\.(csv|txt)")
 
 
 def read_folder(path: Path, topics: Collection[str]) -> Log:
-    """Read the tables of some topics, and the parameters if they are there.
-
-    Raises
-    ------
-    ImportLogError
-        If there is none of them, there are those of several logs, or one cannot be read.
-    """
+    """Read the tables of some topics, and the parameters if they are there."""
     pattern = re.compile(
         rf"(?P<log>.+?)_(?P<topic>{'|'.join(map(re.escape, topics))})_(?P<instance>\d+)\.csv"
     )
@@ -241,7 +229,7 @@ def read_folder(path: Path, topics: Collection[str]) -> Log:
         if PARAMETERS.fullmatch(file.name.lower()):
             log.parameters.update(_parameters(file))
     if not log.parameters:
-        log.findings.doubt(
+        log.findings.lost.append(
             "the tables say nothing of the parameters: ulog_params LOG.ulg PARAMS.csv writes them"
         )
     return log

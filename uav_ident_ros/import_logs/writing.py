@@ -84,8 +84,6 @@ def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> Non
     ------
     BagWriteError
         If it cannot be written; nothing half-written stays behind.
-    ImportLogError
-        If a parameter that follows from the log is none that the identifier takes.
     """
     streams = dict(log.streams)
     rates = streams["rates"]
@@ -160,13 +158,7 @@ def fitting(
     trim: str,  # One of `flight_log.TRIMS`
     airspeed: bool | None,  # Whether to scale with the airspeed; None if measured in flight
 ) -> dict[str, Any]:
-    """Return the parameters of the identifier that fit a log, by dotted name.
-
-    Raises
-    ------
-    ImportLogError
-        If there is no airspeed to scale with.
-    """
+    """Return the parameters of the identifier that fit a log, by dotted name."""
     channels = [channel for _, channel in log.used]
     values: dict[str, Any] = {
         "imu.type": TOPICS["rates"].msgtype,
@@ -252,25 +244,25 @@ def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
     speed = _flown_speed(log)
     if use if use is not None else speed >= SLOWEST_FLIGHT:
         values["airspeed.type"] = TOPICS["airspeed"].msgtype
-        log.findings.note(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
+        log.findings.read.append(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
     elif "airspeed" in log.streams:
         reason = (
             f"in flight its median is {speed:.3g} m/s"
             if speed
             else "it was not measured for most of the flight"
         )
-        log.findings.doubt(f"the airspeed is not used: {reason}")
+        log.findings.lost.append(f"the airspeed is not used: {reason}")
     usual = speed or log.ground_speed
     if usual >= SLOWEST_FLIGHT:
         values["airspeed.reference"] = round(min(usual, FASTEST), 3)
     if speed >= SLOWEST_FLIGHT or log.hovers:
         return values
     if log.ground_speed >= SLOWEST_FLIGHT:
-        log.findings.assume(
+        log.findings.assumed.append(
             f"airspeed.reference is the median speed over ground, {log.ground_speed:.3g} m/s"
         )
     else:
-        log.findings.doubt(
+        log.findings.lost.append(
             "no speed of flight is in the log: set airspeed.reference to the usual airspeed, which "
             "the forces on wings go with"
         )
