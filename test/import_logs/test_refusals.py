@@ -386,7 +386,7 @@ def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:
 
     (tmp_path / "columns.yaml").write_text(EXAMPLE, encoding="utf-8")
     found = load_column_map(tmp_path / "columns.yaml")
-    assert found.quantities["airspeed"].columns == ("tas",)
+    assert found.quantities["airspeed"] == (["tas"], 1.0)
 
 
 STAMPS = 4_000_000 * np.arange(500) + 20 * NS_PER_S

@@ -21,7 +21,7 @@ from uav_ident_ros.files.strict_yaml import (
     problem,
 )
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
     FlightLog,
@@ -40,13 +40,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 }
 """Units of each quantity, SI, of the time ns; the first is the usual one."""
 
-OPTIONAL = ("specific_force", "airspeed")
-
 VECTORS = ("rates", "specific_force")
 """Quantities of three columns, perhaps in counts of a raw sensor."""
-
-AXES = ("frd", "flu")
-AXES_OF_A_VECTOR = 3
 
 EXAMPLE = """\
 time: {column: t, unit: s}
@@ -62,42 +57,19 @@ channels:
 
 
 @dataclass(frozen=True)
-class Quantity:
-    """Columns that hold a quantity, and its unit."""
-
-    columns: tuple[str, ...] = ()  # None if the table does not have it
-    factor: float = 1.0  # Of the unit, SI; that of the time in ns
-
-    def of(self, rows: Messages) -> FloatArray:
-        """Return the values of a table, SI, shape (k, number of columns)."""
-        return rows.values(*self.columns) * self.factor
-
-
-@dataclass(frozen=True)
 class ColumnMap:
     """Meaning of the columns of a table."""
 
-    quantities: Mapping[str, Quantity]  # By name, those of `UNITS`
+    # By the quantity, those of `UNITS` that the table has: its columns, and its unit, SI or ns
+    quantities: Mapping[str, tuple[list[str], float]]
     channels: dict[str, Channel]  # Channel by column
     axes: str  # ``frd`` or ``flu``
     lever_arm: tuple[float, float, float]  # Accelerometer from the centre of gravity, m, FRD
     delimiter: str  # Between the cells
 
-    @property
-    def columns(self) -> list[str]:
-        """Every column that is read, the time's first."""
-        named = [column for quantity in self.quantities.values() for column in quantity.columns]
-        return [*named, *self.channels]
-
 
 def load_column_map(path: Path) -> ColumnMap:
-    """Read a column map.
-
-    Raises
-    ------
-    ImportLogError
-        If it cannot be read, an entry is missing, unknown or not allowed.
-    """
+    """Read a column map; what is missing, unknown or not allowed is named."""
     try:
         return _column_map(yaml.safe_load(path.read_text(encoding="utf-8")))
     except UNUSABLE as error:
@@ -108,24 +80,23 @@ def load_column_map(path: Path) -> ColumnMap:
 
 def _column_map(content: Any) -> ColumnMap:
     needed = ("time", "axes", "rates", "channels")
-    top = mapping(content, "the file", needed, (*OPTIONAL, "lever_arm", "delimiter"))
+    optional = ("specific_force", "airspeed", "lever_arm", "delimiter")
+    top = mapping(content, "the file", needed, optional)
     delimiter, axes = top.get("delimiter", ","), top["axes"]
     if not isinstance(delimiter, str) or len(delimiter) != 1:
         raise EntryError(f"delimiter is {delimiter!r}: one character is needed")
-    if axes not in AXES:
-        raise EntryError(f"axes is '{axes}': allowed are {', '.join(AXES)}")
+    if axes not in ("frd", "flu"):
+        raise EntryError(f"axes is '{axes}': allowed are frd, flu")
     arm = _three(top.get("lever_arm", [0.0, 0.0, 0.0]), "lever_arm", "numbers forward, right, down")
     x, y, z = (finite(value, "lever_arm") for value in arm)
-    quantities = {name: _quantity(top, name) for name in UNITS}
+    quantities = {name: _quantity(top[name], name) for name in UNITS if name in top}
     return ColumnMap(quantities, _channels(top["channels"]), axes, (x, y, z), delimiter)
 
 
-def _quantity(top: Mapping[str, Any], name: str) -> Quantity:
-    """Return the columns and the unit of a quantity, nothing if the table does not have it."""
-    if name not in top:
-        return Quantity()
+def _quantity(content: Any, name: str) -> tuple[list[str], float]:
+    """Return the columns and the unit of a quantity."""
     key, more = ("columns", ("unit", "counts")) if name in VECTORS else ("column", ("unit",))
-    entry = mapping(top[name], name, (key,), more)
+    entry = mapping(content, name, (key,), more)
     units = UNITS[name]
     # Rates in the wrong unit would pass for others.
     unit = entry.get("unit", None if name == "rates" else next(iter(units)))
@@ -138,7 +109,7 @@ def _quantity(top: Mapping[str, Any], name: str) -> Quantity:
     columns = [entry[key]]
     if name in VECTORS:
         columns = _three(entry[key], f"{name}.columns", "columns x, y, z")
-    return Quantity(tuple(map(str, columns)), units[unit] / counts)
+    return [*map(str, columns)], units[unit] / counts
 
 
 def _channels(content: Any) -> dict[str, Channel]:
@@ -165,7 +136,7 @@ def _channels(content: Any) -> dict[str, Channel]:
 
 
 def _three(value: Any, name: str, what: str) -> list[Any]:
-    if not isinstance(value, list) or len(value) != AXES_OF_A_VECTOR:
+    if not isinstance(value, list) or len(value) != 3:
         raise EntryError(f"{name} is {value!r}: three {what} are needed")
     return value
 
@@ -184,11 +155,6 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
 
     A row gives a sample of the rates if it has all three, one of the actuators if it has any
     channel, and so on: streams of different rates fit into one table with empty cells.
-
-    Raises
-    ------
-    ImportLogError
-        If it cannot be read, a column is missing, a cell is no number, or there are no samples.
     """
     log = Log(path, "table")
     try:
@@ -197,13 +163,13 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
         streams = _streams(log.messages("the table"), columns)
     except (*UNUSABLE, csv.Error) as error:
         raise ImportLogError(f"table '{path}': {problem(error)}") from None
-    if not columns.quantities["specific_force"].columns:
-        log.findings.doubt("there is no accelerometer: ay and az are zero")
-    log.findings.note(
+    if "specific_force" not in columns.quantities:
+        log.findings.lost.append("there is no accelerometer: ay and az are zero")
+    log.findings.read.append(
         f"units and axes from the column map: rates in body axes {columns.axes}, times "
-        f"{columns.quantities['rates'].factor:.6g} to rad/s"
+        f"{columns.quantities['rates'][1]:.6g} to rad/s"
     )
-    log.findings.assume(
+    log.findings.assumed.append(
         "the stamp of a row is that of all its values, unfiltered; the table does not say when it "
         "flew"
     )
@@ -229,7 +195,11 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
         raise EntryError(
             f"the time goes on in {ahead} rows and back in {back}: sort the rows by their time"
         )
-    rates, force, speed = (columns.quantities[name] for name in ("rates", *OPTIONAL))
+    measured = {
+        name: rows.values(*names) * unit
+        for name, (names, unit) in columns.quantities.items()
+        if name != "time"
+    }
     streams: dict[str, Stream] = {}
 
     def add(what: str, names: Collection[str], stream: Stream, some: Any = np.all) -> None:
@@ -238,12 +208,12 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
             raise EntryError(f"it has no {what}: columns {', '.join(names)} are empty")
         streams[what] = stream.chosen(there)
 
-    measured = force.of(rows) if force.columns else None
-    add("rates", rates.columns, rates_stream("table", t_ns, rates.of(rows), measured))
-    commands = rows.values(*columns.channels)
-    add("actuators", columns.channels, Stream("table", t_ns, commands), np.any)
-    if speed.columns:
-        add("airspeed", speed.columns, Stream("table", t_ns, speed.of(rows)[:, 0]))
+    rates = rates_stream("table", t_ns, measured["rates"], measured.get("specific_force"))
+    add("rates", columns.quantities["rates"][0], rates)
+    add("actuators", columns.channels, rows.stream(*columns.channels), np.any)
+    if "airspeed" in measured:
+        speed = Stream("table", t_ns, measured["airspeed"][:, 0])
+        add("airspeed", columns.quantities["airspeed"][0], speed)
     return streams
 
 
@@ -258,28 +228,31 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
     _, header = next(rows, (0, []))
     if not header:
         raise EntryError("it is empty: a header line is needed")
-    for name in columns.columns:
+    ((time,), unit_ns), *others = columns.quantities.values()
+    read = [*(name for names, _ in others for name in names), *columns.channels]
+    for name in (time, *read):
         if name not in header:
             listed = ", ".join(header)
             raise EntryError(f"it has no column '{name}'; it has {listed}: {meant(name, header)}")
-    place, *places = (header.index(name) for name in columns.columns)
-    unit_ns = int(columns.quantities["time"].factor)
+    place, *places = (header.index(name) for name in (time, *read))
     t_ns, values, short = [], [], []
     for line, cells in rows:
         if len(cells) <= max(place, *places):
             short.append(line)
             continue
         where = f"line {line}: the time"
-        t_ns.append(nanoseconds(cells[place], unit_ns, LATEST_NS, where, TOO_LATE))
+        t_ns.append(nanoseconds(cells[place], int(unit_ns), LATEST_NS, where, TOO_LATE))
         values.append([_number(line, cells[other]) for other in places])
     if not values:
         raise EntryError("it has no complete row below its header")
     if short:
-        log.findings.doubt(
+        log.findings.lost.append(
             f"{len(short)} rows have too few cells and were left out, the first in line {short[0]}"
         )
-    named = zip(columns.columns[1:], np.array(values).T, strict=True)
-    return {IN_NS: np.array(t_ns, dtype=np.int64), **dict(named)}
+    return {
+        IN_NS: np.array(t_ns, dtype=np.int64),
+        **dict(zip(read, np.array(values).T, strict=True)),
+    }
 
 
 def _number(line: int, cell: str) -> float:
