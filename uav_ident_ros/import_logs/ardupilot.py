@@ -139,10 +139,9 @@ def _of_firmware(log: Log, firmware: str) -> dict[str, Any]:
         "logging": KNOWN["logging"].get(firmware, {"parameter": "LOG_BITMASK", "options": []}),
         "setpoint_unit": np.radians(KNOWN["setpoint_unit"]),
     }
-    controls = [rate.columns[f] for f in KNOWN["controls"]["RATE"] if rate and rate.has(f)]
-    if any(
-        np.abs(control[np.isfinite(control)]).max(initial=0.0) > NORMALISED for control in controls
-    ):
+    fields = [f for f in KNOWN["controls"]["RATE"] if rate and rate.has(f)]
+    demands = rate.values(*fields) if rate and fields else np.zeros(0)
+    if np.abs(demands[np.isfinite(demands)]).max(initial=0.0) > NORMALISED:
         old = KNOWN["old_units"]
         result["setpoint_unit"] *= old["setpoint_unit"]
         result |= {key: KNOWN[key] | old[key] for key in ("controls", "notes")}

@@ -173,7 +173,7 @@ class Import:
             self.findings.lost.append(
                 f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}"
             )
-        self._note_taken(chosen, usable[chosen].name)
+        self._note(chosen, usable[chosen].name, chosen=True)
         if rates[chosen] < ENOUGH_RATE:
             self.findings.lost.append(
                 f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed"
@@ -197,16 +197,14 @@ class Import:
         self.asked |= 1 << option["bit"]  # with what was asked for before
         return f" ({parameter} {value}: make it {value | self.asked}, '{option['name']}'){tail}"
 
-    def _note(self, kind: str, name: str) -> Mapping[str, Any]:
-        """Say what the table has to say of messages that are read; return all that it has."""
+    def _note(self, kind: str, name: str, *, chosen: bool = False) -> None:
+        """Say what the table has to say of messages that are read, and more of those chosen."""
         notes: Mapping[str, Any] = self.table["notes"].get(kind, {})
-        self.findings.read += [notes["read"].format(name=name)] if "read" in notes else []
-        return notes
-
-    def _note_taken(self, kind: str, name: str) -> None:
-        notes = self._note(kind, name)
-        self.findings.assumed += [notes["assumed"]] if "assumed" in notes else []
-        if "low_pass" in notes:
+        if "read" in notes:
+            self.findings.read.append(notes["read"].format(name=name))
+        if chosen and "assumed" in notes:
+            self.findings.assumed.append(notes["assumed"])
+        if chosen and "low_pass" in notes:
             cutoffs = {name: self.log.parameter(name) for name in notes["low_pass"]}
             known = next((f" at {hz:g} Hz ({name})" for name, hz in cutoffs.items() if hz), "")
             self.findings.lost.append(
@@ -243,16 +241,15 @@ class Import:
             if messages is None or not messages.has(says["field"]):
                 continue
             values, source = messages.columns[says["field"]], f"{name}.{says['field']}"
-            known, active = np.ones(len(values), dtype=bool), np.isin(values, says["begin"])
+            t_ns, active = messages.stamp_ns, np.isin(values, says["begin"])
             if "end" in says:
                 known, source = active | np.isin(values, says["end"]), name
-            t_ns, active = messages.stamp_ns[known], active[known]
-            if not len(t_ns):
-                continue
-            if "end" in says:  # before the first change it was the other
-                t_ns = np.append(self.log.start_ns, t_ns)
-                active = np.append(not active[0], active)
-            return source, intervals(t_ns, active, self.log.end_ns, self.log.start_ns)
+                # Before the first change it was the other.
+                t_ns, active = np.append(0, t_ns[known]), active[known]
+                active = np.append(~active[:1], active)
+            if len(active):
+                t_ns[0] = self.log.start_ns
+                return source, intervals(t_ns, active, self.log.end_ns)
         return None
 
     def _rates(self) -> Stream:

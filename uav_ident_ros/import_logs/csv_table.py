@@ -208,11 +208,11 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
             raise EntryError(f"it has no {what}: columns {', '.join(names)} are empty")
         streams[what] = stream.chosen(there)
 
-    rates = rates_stream("table", t_ns, measured["rates"], measured.get("specific_force"))
+    rates = rates_stream(rows.name, t_ns, measured["rates"], measured.get("specific_force"))
     add("rates", columns.quantities["rates"][0], rates)
     add("actuators", columns.channels, rows.stream(*columns.channels), np.any)
     if "airspeed" in measured:
-        speed = Stream("table", t_ns, measured["airspeed"][:, 0])
+        speed = Stream(rows.name, t_ns, measured["airspeed"][:, 0])
         add("airspeed", columns.quantities["airspeed"][0], speed)
     return streams
 

@@ -110,20 +110,13 @@ def coverage(t_ns: TimeArray, stretches: Stretches, hold_ns: int = LONGEST_HOLD_
 
 def intervals(
     t_ns: TimeArray,  # (k,) Stamps of the state, ns
-    active: BoolArray,  # (k,) Whether it holds
+    active: BoolArray,  # (k,) Whether it holds, until the next
     end_ns: int,  # End of the log, ns
-    start_ns: int | None = None,  # Start of the log: the first value counts from there
 ) -> list[tuple[int, int]]:
-    """Stretches in which a logged state holds; each value counts until the next."""
-    result: list[tuple[int, int]] = []
-    stamps = [int(t) for t in t_ns]
-    if stamps and start_ns is not None:
-        stamps[0] = min(stamps[0], start_ns)
-    for start, end, holds in zip(stamps, [*stamps[1:], end_ns], active, strict=True):
-        if holds and end > start:
-            goes_on = bool(result) and result[-1][1] == start
-            result.append((result.pop()[0] if goes_on else start, end))
-    return result
+    """Stretches in which a logged state holds."""
+    changes = np.flatnonzero(np.diff(active.astype(int), prepend=0, append=0))
+    edges = np.append(t_ns, end_ns)[changes].tolist()
+    return [(begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if end > begin]
 
 
 def hold(t_ns: TimeArray, samples_ns: TimeArray, values: FloatArray) -> FloatArray:
