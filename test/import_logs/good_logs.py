@@ -26,6 +26,12 @@ channels:
 TABLE = "t,p,q,r,de\n" + "".join(f"{0.01 * i:.2f},0.1,0.2,0.3,{0.01 * i}\n" for i in range(300))
 
 
+def written(path: Path, content: bytes) -> Path:
+    """A file with this content."""
+    path.write_bytes(content)
+    return path
+
+
 def ulog(folder: Path, share: float = 1.0) -> Path:
     """A PX4 log, or the first share of it."""
     topics = {

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,26 +27,8 @@ def flight(duration: float = 10.0, **sensors: Any) -> Measurements:
     return measure(flown, Sensors(**{**usual, **sensors}), 3)
 
 
-@dataclass
-class Contents:
-    """Samples of an imported bag: stamps, ns, and values of each topic."""
-
-    imu_t_ns: np.ndarray
-    rates: np.ndarray
-    specific_force: np.ndarray
-    frame_ids: set[str]
-    actuator_t_ns: np.ndarray
-    actuators: np.ndarray
-    names: list[str]
-    airspeed: np.ndarray
-    log_ns: np.ndarray
-
-    def column(self, name: str) -> np.ndarray:
-        return self.actuators[:, self.names.index(name)]
-
-
-def contents(path: Path) -> Contents:
-    """Read a bag through the project's own reader."""
+def contents(path: Path) -> SimpleNamespace:
+    """Samples of an imported bag, read through the project's own reader: stamps in ns, values."""
     found = decoded(path)
     imu, commands, airspeed = (
         [message for _, message in found.get(topic, ())]
@@ -55,22 +38,17 @@ def contents(path: Path) -> Contents:
     def vectors(field: str) -> np.ndarray:
         return np.array([[getattr(getattr(m, field), axis) for axis in "xyz"] for m in imu])
 
-    return Contents(
-        np.array([header_ns(m) for m in imu]),
-        vectors("angular_velocity"),
-        vectors("linear_acceleration"),
-        {m.header.frame_id for m in imu},
-        np.array([header_ns(m) for m in commands]),
-        np.array([m.position for m in commands]),
-        list(commands[0].name),
-        np.array([m.twist.linear.x for m in airspeed]),
-        np.sort([log for entries in found.values() for log, _ in entries]),
+    return SimpleNamespace(
+        imu_t_ns=np.array([header_ns(m) for m in imu]),
+        rates=vectors("angular_velocity"),
+        specific_force=vectors("linear_acceleration"),
+        frame_ids={m.header.frame_id for m in imu},
+        actuator_t_ns=np.array([header_ns(m) for m in commands]),
+        actuators=np.array([m.position for m in commands]),
+        names=list(commands[0].name),
+        airspeed=np.array([m.twist.linear.x for m in airspeed]),
+        **{name: [(t, m.data) for t, m in found.get(f"/{name}", ())] for name in ("armed", "mode")},
     )
-
-
-def parameters(folder: Path) -> dict[str, Any]:
-    """Parameters that were written beside an imported bag."""
-    return dict(load_parameters(folder / "identifier.yaml", "/identifier"))
 
 
 def mixing(values: dict[str, Any]) -> np.ndarray:
@@ -86,12 +64,13 @@ class Imported:
     printed: str
 
     @cached_property
-    def bag(self) -> Contents:
+    def bag(self) -> SimpleNamespace:
         return contents(self.folder)
 
     @cached_property
     def values(self) -> dict[str, Any]:
-        return parameters(self.folder)
+        """Parameters that were written beside the bag."""
+        return dict(load_parameters(self.folder / "identifier.yaml", "/identifier"))
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.bag, self.values, self.printed))

@@ -10,6 +10,7 @@ from dataflash_writing import OLD_FORMATS, Rows, write_dataflash
 from excerpts import decoded
 from imported import Imported, Importer, mixing
 
+from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.simulation.channels import QUADROTOR
 
 START, STEP, COUNT = 20_000_000, 4000, 300
@@ -178,12 +179,8 @@ def test_a_quadplane_flies_by_its_surfaces_unless_its_hover_is_asked_for(
     hover = importer(importer.log, "--actuators-topic", "RATE")
     assert hover.bag.names == ["roll", "pitch", "yaw", "throttle"]
     assert hover.values["structure"] == "augmented"
-
-
-def test_aetr_on_request(importer: Importer) -> None:
-    rows = at(COMMAND_US, "AETR", (450.0, -900.0, 60.0, 225.0))
-    bag, values, _ = imported(importer, rows, PLANE, "--actuators-topic", "AETR")
-    u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
+    mixed = importer(importer.log, "--actuators-topic", "AETR")
+    u = mixing(mixed.values) @ (np.array(mixed.values["actuators.scale"]) * mixed.bag.actuators[0])
     np.testing.assert_allclose(u, [0.2, -0.05, 0.1, 0.6])
 
 
@@ -235,30 +232,22 @@ def test_trim_airspeed_lever_arm_and_lost_messages(importer: Importer) -> None:
 
 
 @pytest.mark.parametrize("scale", [1.0, 4500.0])
-def test_mode_and_setpoints_come_along(importer: Importer, scale: float) -> None:
+def test_attitude_mode_and_setpoints_come_along(importer: Importer, scale: float) -> None:
     """Old logs, whose controls are no shares, ask for hundredths of a degree a second."""
     unit = 1.0 if scale == 1.0 else 100.0
     requested = (30.0 * unit, 0, 0.1 * scale, -20.0 * unit, 0, 0, 10.0 * unit, 0, 0, 0, 0, 0.4)
     rows = at(COMMAND_US, "RATE", requested)
     rows += at(COMMAND_US[[0, 9]], "MODE", [(5, 5, 1), (99, 99, 1)])
+    rows += at(IMU_US, "ATT", (0, 3000, 0, -1000, 0, 9000))
     rows.append((START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",)))
     it = imported(importer, rows, PLANE)
+    assert it.bag.mode == [(START * 1000, "fbwa"), (int(COMMAND_US[9]) * 1000, "Mode 99")]
     read = decoded(it.folder)
-    modes = [(t, m.data) for t, m in read["/mode"]]
-    assert modes == [(START * 1000, "fbwa"), (int(COMMAND_US[9]) * 1000, "Mode 99")]
+    o = read["/imu/data"][0][1].orientation
+    expected = quaternions(*np.radians([30.0, -10.0, 90.0]))
+    np.testing.assert_allclose([o.x, o.y, o.z, o.w], expected, atol=1e-12)
     vector = read["/setpoint/rates"][0][1].vector
     np.testing.assert_allclose(np.degrees([vector.x, vector.y, vector.z]), [30, -20, 10], rtol=1e-6)
-
-
-def test_a_log_that_begins_in_flight(importer: Importer) -> None:
-    """Its only event is the end of the flight: it was armed before."""
-    end_us = int(IMU_US[200])
-    rows = [(end_us, "ARM", (0,)), *at(IMU_US, "ATT", (0, 3000, 0, -1000, 0, 9000))]
-    bag, values, printed = imported(importer, rows, PLANE, "--flight-only")
-    assert bag.imu_t_ns[-1] == end_us * 1000
-    assert "armed for 0.8 s in 1 stretch(es) (ARM)" in printed
-    assert values["armed.type"] == "std_msgs/msg/Bool"
-    assert "attitude: ATT" in printed
 
 
 @pytest.mark.parametrize(
@@ -272,6 +261,7 @@ def test_a_log_that_begins_in_flight(importer: Importer) -> None:
         ([(100, "EV", 28), (200, "EV", 18)], (100, 200), "in the air for 0.4 s"),
         ([(0, "ARM", 1), (100, "STAT", 0)], (0, 0),
          "never in the air (STAT.isFlying): no model can come of this log; if it did fly, empty"),
+        ([(200, "ARM", 0)], (0, 200), "armed for 0.8 s in 1 stretch(es) (ARM)"),  # begun in flight
         ([(200, "EV", 15)], None, "the log does not say when it flew"),
     ],
 )  # fmt: skip
@@ -285,12 +275,11 @@ def test_nothing_is_learned_on_the_ground_while_armed(
     it = imported(importer, events, PLANE)
     assert said in " ".join(it.printed.split())
     assert ("armed.type" in it.values) == (flown is not None)
-    read = decoded(it.folder)
+    states = it.bag.armed
     if flown is None:
-        assert "/armed" not in read
+        assert not states
         return
     begin, end = (1000 * int(IMU_US[at]) for at in flown)
-    states = [(t, m.data) for t, m in read["/armed"]]
     assert states and all(state == (begin <= t < end) for t, state in states)
     assert begin == end or {(begin, True), (end, False)} <= {*states}
 

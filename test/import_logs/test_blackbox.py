@@ -7,17 +7,16 @@ import blackbox_writing
 import numpy as np
 import pytest
 from blackbox_writing import ACC, COUNT, FIELDS, GYRO, MOTORS, T_US, blackbox
+from good_logs import written
 from imported import Importer
 
 
-def written(importer: Importer, content: bytes, name: str = "log.bbl") -> Path:
-    path = importer.folder / name
-    path.write_bytes(content)
-    return path
+def log_of(importer: Importer, content: bytes) -> Path:
+    return written(importer.folder / "log.bbl", content)
 
 
 def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
-    log = written(importer, blackbox(50) + blackbox(), "LOG00001.BFL")
+    log = written(importer.folder / "LOG00001.BFL", blackbox(50) + blackbox())
     found, values, printed = importer(log)
     assert len(found.imu_t_ns) >= COUNT - 1  # orangebox leaves out a frame before the end
     kept = slice(0, len(found.imu_t_ns))
@@ -39,7 +38,7 @@ def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
 
 
 def test_reversed_propellers(importer: Importer) -> None:
-    values = importer(written(importer, blackbox(yaw_motors_reversed=1))).values
+    values = importer(log_of(importer, blackbox(yaw_motors_reversed=1))).values
     np.testing.assert_allclose(values["actuators.mixing.dr"], [-0.5, 0.5, 0.5, -0.5])
 
 
@@ -47,7 +46,7 @@ def test_an_accelerometer_that_is_off(importer: Importer, monkeypatch: pytest.Mo
     """Betaflight logs zeros then, and acc_1G may be 0: no forces, not some that are no numbers."""
     for scale, spoilt in ((0, ACC), (2048, 0 * ACC)):
         monkeypatch.setattr(blackbox_writing, "ACC", spoilt)
-        found, values, printed = importer(written(importer, blackbox(acc_1G=scale)))
+        found, values, printed = importer(log_of(importer, blackbox(acc_1G=scale)))
         assert "the accelerometer (accSmooth) is off" in printed
         assert values["structure"] == "throttle_coupled"
         assert not np.any(found.specific_force)
@@ -63,13 +62,13 @@ def test_motors_below_their_least_command(
     predictors = ["0"] * len(FIELDS)
     predictors[FIELDS.index("motor[0]")] = "11"  # the difference from motorOutput
     headers = {"motorOutput": "138,2047", "Field I predictor": ",".join(predictors)}
-    found = importer(written(importer, blackbox(**headers))).bag
+    found = importer(log_of(importer, blackbox(**headers))).bag
     np.testing.assert_array_equal(found.actuators, standing[: len(found.actuators)])
 
 
 def test_the_range_of_an_old_firmware_is_the_throttle_s(importer: Importer) -> None:
     old = blackbox().replace(b"motorOutput:48,2047", b"minthrottle:1100\nH maxthrottle:1900")
-    _, values, printed = importer(written(importer, old))
+    _, values, printed = importer(log_of(importer, old))
     assert values["actuators.scale"] == [1.0 / 800] * 4
     assert "motor commands from 1100 to 1900 (minthrottle, maxthrottle)" in printed
 
@@ -77,7 +76,7 @@ def test_the_range_of_an_old_firmware_is_the_throttle_s(importer: Importer) -> N
 def test_a_firmware_with_an_odd_name(importer: Importer) -> None:
     """It stands in a comment of the parameter file, which must be YAML."""
     odd = "Beta\x01flight\x07" + "x" * 900
-    _, values, printed = importer(written(importer, blackbox(**{"Firmware revision": odd})))
+    _, values, printed = importer(log_of(importer, blackbox(**{"Firmware revision": odd})))
     assert "log.bbl: Beta?flight?xxx" in printed
     assert "x" * 130 not in printed
     assert values["imu.convention"] == "flu"
@@ -85,11 +84,11 @@ def test_a_firmware_with_an_odd_name(importer: Importer) -> None:
 
 def test_a_log_that_is_cut_off_or_damaged(importer: Importer) -> None:
     whole, half = blackbox(), len(blackbox()) // 2
-    found, _, printed = importer(written(importer, whole[:half]))
+    found, _, printed = importer(log_of(importer, whole[:half]))
     assert "cut off at its end" in printed
     assert len(found.imu_t_ns) > COUNT // 3
     spoilt = whole[:half] + b"\xff" * 60 + whole[half + 60 :]
-    found, _, printed = importer(written(importer, spoilt))
+    found, _, printed = importer(log_of(importer, spoilt))
     assert "3 of 600 frames are missing or damaged, in 1 places" in printed
     assert len(found.imu_t_ns) == COUNT - 3
 
@@ -102,4 +101,4 @@ def test_blackboxes_that_cannot_be_used(importer: Importer) -> None:
         (none, "has no rates (gyroUnfilt, gyroADC); it has accSmooth, motor"),
         (blackbox(0), "has no frames that can be read"),
     ):
-        assert words in importer.refused(written(importer, content))
+        assert words in importer.refused(log_of(importer, content))

@@ -25,6 +25,7 @@ from good_logs import (
     plane_log,
     table,
     ulog,
+    written,
 )  # fmt: skip
 from imported import Importer
 from programs import python
@@ -43,11 +44,6 @@ Make = Callable[[Path], list[str]]
 
 
 KINDS = pytest.mark.parametrize("write", [ulog, plane_log])
-
-
-def spoilt(path: Path, content: bytes) -> Path:
-    path.write_bytes(content)
-    return path
 
 
 def test_nothing_half_written_stays_behind(tmp_path: Path) -> None:
@@ -80,7 +76,7 @@ def test_without_its_library_the_extra_is_named(
     importer: Importer, monkeypatch: pytest.MonkeyPatch, library: str, extra: str, content: bytes
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    line = importer.refused(spoilt(importer.folder / "log", content))
+    line = importer.refused(written(importer.folder / "log", content))
     assert f"{library} is not installed" in line
     assert f"uav_ident_ros[{extra}]" in line
 
@@ -92,7 +88,7 @@ def test_without_its_library_the_extra_is_named(
 def test_a_log_that_is_cut_off_gives_what_is_there(importer: Importer, write: Any) -> None:
     path = write(importer.folder)
     whole = path.read_bytes()
-    found, _, printed = importer(spoilt(path, whole[: len(whole) // 2 + 5]))
+    found, _, printed = importer(written(path, whole[: len(whole) // 2 + 5]))
     assert "cut off at its end" in printed
     np.testing.assert_array_equal(found.imu_t_ns, IMU_NS[: len(found.imu_t_ns)])
     assert 700 < len(found.imu_t_ns) < 1300
@@ -104,7 +100,7 @@ def test_garbage_inside_a_log_is_reported(importer: Importer, write: Any) -> Non
     whole = bytearray(path.read_bytes())
     middle = len(whole) // 2
     whole[middle : middle + 1000] = np.random.default_rng(5).bytes(1000)
-    it = importer(spoilt(path, whole), status=DAMAGED)
+    it = importer(written(path, whole), status=DAMAGED)
     (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) in 1 place", it.printed)
     assert 900 < int(lost) < 1200  # not to the next sync, of which there is none here
     assert len(it.bag.imu_t_ns) > len(IMU_NS) - 40
@@ -133,15 +129,16 @@ def test_one_damaged_byte_costs_one_sample(
         header = HEADER + whole[whole.index(b"IMU\0") - 2 :][:1]
         value = whole[whole.index(b"RCOU") - 2] if part == "known type" else value
     whole[whole.index(header, len(whole) // 2) + at] = value
-    found, _, printed = importer(spoilt(path, whole), status=DAMAGED)
+    found, _, printed = importer(written(path, whole), status=DAMAGED)
     assert len(found.imu_t_ns) == len(IMU_NS) - 1
     assert set(found.imu_t_ns) < set(IMU_NS)
     assert len(found.actuator_t_ns) == len(IMU_NS) // 4
     if part != "stamp":
         assert f"{size} of {len(whole)} bytes (" in printed
         assert "in 1 place, about 0.0" in printed
-    elif write is plane_log:
-        assert "1 of 2000 samples of IMU have a stamp that no clock gave" in printed
+    else:
+        kind = "sensor_combined" if write is ulog else "IMU"
+        assert f"1 of 2000 samples of {kind} have a stamp that no clock gave" in printed
 
 
 # --- ULog ---------------------------------------------------------------------------------------
@@ -162,7 +159,7 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     parts += [message("A", b"\2\7\0nested"), *data[:5], message("S", SYNC), message("O", b"\x0a\0")]
     parts += [message("L", b"6" + bytes(8) + b"take-off")]
     parts += [keyed("P", "float GAIN", struct.pack("<f", 0.5)), *data[5:]]
-    path = spoilt(tmp_path / "nested.ulg", b"".join(parts))
+    path = written(tmp_path / "nested.ulg", b"".join(parts))
     ours, theirs = read_ulog(path, {"nested"}), ULog(str(path))
     assert ours.findings == Findings(
         lost=["the logger lost messages 1 times, together 0.01 s, at most 0.01 s (dropouts)"]
@@ -175,18 +172,6 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     assert ours.changes == [(0.004, "GAIN", 0.5)]
     assert ours.title == "PX4 v1.12.0"
     assert ours.end_ns == theirs.last_timestamp * 1000
-
-
-def test_a_ulog_with_a_stamp_that_no_clock_gave(importer: Importer) -> None:
-    topics = deepcopy(GOOD)
-    topics["sensor_combined", 0]["timestamp"][1000] = 2**62
-    topics["vehicle_torque_setpoint", 0]["timestamp"][200] = 2**63
-    log = write_ulog(importer.folder / "flight.ulg", topics, {})
-    found, _, printed = importer(log, status=DAMAGED)
-    assert "1 of 2000 samples of sensor_combined have a stamp that no clock gave" in printed
-    assert "1 of 500 samples of vehicle_torque_setpoint have a stamp that no clock gave" in printed
-    np.testing.assert_array_equal(found.imu_t_ns, np.delete(IMU_NS, 1000))
-    assert found.log_ns[-1] == IMU_NS[-1]
 
 
 def test_a_last_stamp_that_lies_days_ahead(importer: Importer) -> None:
@@ -236,27 +221,18 @@ def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
 # --- tables -------------------------------------------------------------------------------------
 
 
-def test_counts_of_a_raw_sensor(importer: Importer) -> None:
-    units = COLUMNS.replace("unit: rad/s}", "unit: deg/s, counts: 16.4}")
-    units += "specific_force: {columns: [q, r, p], unit: g, counts: 2048}\n"
-    found = importer(*table(importer.folder, columns=units)).bag
-    np.testing.assert_allclose(found.rates[0], np.radians([0.1, 0.2, 0.3]) / 16.4, rtol=1e-12)
-    np.testing.assert_allclose(
-        found.specific_force[0], 9.80665 * np.array([0.2, 0.3, 0.1]) / 2048, rtol=1e-12
-    )
-
-
-def test_a_table_that_is_cut_off_gives_what_is_there(importer: Importer) -> None:
-    found, _, printed = importer(*table(importer.folder, TABLE[:-12]))
+def test_a_table_that_is_cut_off_and_goes_on_gives_what_is_there(importer: Importer) -> None:
+    found, _, printed = importer(*table(importer.folder, TABLE[:-12] + "\n2.90,0.1,0.2,0.3,2.9\n"))
     assert "1 rows have too few cells and were left out, the first in line 301" in printed
-    assert len(found.imu_t_ns) == 299
+    assert "rates: 1 stamps are earlier than the one before" in printed
+    assert len(found.imu_t_ns) == 300
 
 
 # --- what is refused ----------------------------------------------------------------------------
 
 
 def file(name: str, content: bytes) -> Make:
-    return lambda folder: [str(spoilt(folder / name, content))]
+    return lambda folder: [str(written(folder / name, content))]
 
 
 def pipe(path: Path) -> str:

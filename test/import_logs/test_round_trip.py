@@ -2,16 +2,16 @@
 """A simulated flight written into a log of each kind and imported back: the same samples and the
 same inputs, to what the format can hold."""
 
-import dataclasses
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from dataflash_writing import Rows, write_dataflash
 from excerpts import BAGS, replay, summary
 from good_logs import table
-from imported import Contents, Imported, Importer, contents, flight, mixing
+from imported import Imported, Importer, contents, flight, mixing
 from ulog_writing import commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.import_logs.writing import FIRST_NS
@@ -45,7 +45,7 @@ def measured() -> Measurements:
     return flight()
 
 
-Samples = Measurements | Contents
+Samples = Measurements | SimpleNamespace
 
 
 def px4_topics(measured: Samples, *actuators: tuple[str, np.ndarray, str]) -> dict:
@@ -94,16 +94,6 @@ def test_new_px4_log(tmp_path: Path, measured: Measurements, importer: Importer)
     raw = (measured.actuators * PLAIN_SIGNS).astype(np.float32)
     np.testing.assert_array_equal(it.bag.actuators, raw[:, [3, 0, 1, 2]])
     assert "0.30 ms after the gyro sample" in it.printed
-
-
-def test_old_px4_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    values = (measured.actuators * PLAIN_SIGNS)[:, [2, 0, 1, 3]]
-    controls = np.hstack([values, np.zeros((len(values), 4))])
-    topics = px4_topics(measured, ("actuator_controls_0", controls, "control"))
-    it = importer(write_ulog(tmp_path / "old.ulg", topics, {}))
-    assert_same(measured, it, np.float32, 1e-7)
-    np.testing.assert_array_equal(it.bag.actuators, controls.astype(np.float32))
-    assert it.values["actuators.channels"] == ["roll", "pitch", "yaw", "thrust"]
 
 
 @pytest.mark.parametrize(
@@ -193,8 +183,8 @@ OTHER_UNITS = """\
 delimiter: ';'
 time: {column: ms, unit: ms}
 axes: flu
-rates: {columns: [P, Q, R], unit: deg/s}
-specific_force: {columns: [X, Y, Z], unit: g}
+rates: {columns: [P, Q, R], unit: deg/s, counts: 16.4}
+specific_force: {columns: [X, Y, Z], unit: g, counts: 2048}
 airspeed: {column: kn, unit: kn}
 lever_arm: [0.1, 0.0, -0.05]
 channels:
@@ -203,9 +193,9 @@ channels:
 
 
 def test_tables_of_other_units(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    """Degrees, g, knots, milliseconds: the same flight to rounding."""
+    """Counts of degrees and g, knots, milliseconds: the same flight to rounding."""
     since_start = measured.imu_t_ns - measured.imu_t_ns[0]
-    moved = [np.degrees(measured.rates), measured.specific_force / 9.80665]
+    moved = [16.4 * np.degrees(measured.rates), 2048 * measured.specific_force / 9.80665]
     others = np.tile([20.0 / (1852.0 / 3600.0), 1500.0], (len(since_start), 1))
     rows = zip(since_start // 1_000_000, np.hstack([*moved, others]).tolist(), strict=True)
     text = "ms;P;Q;R;X;Y;Z;kn;s1\n"
@@ -235,28 +225,23 @@ DELAY_NS = 60_000_000
 """By how much the commands are logged before they act; in the simulation they act at once."""
 
 
-def delayed(bag: Path = BAGS / "c172p") -> Contents:
-    """The example flight, with a delay: the log does not say it, and the import has to find it."""
-    recorded = contents(bag)
-    return dataclasses.replace(recorded, actuator_t_ns=recorded.actuator_t_ns - DELAY_NS)
-
-
-def px4_example(recorded: Contents, folder: Path) -> Path:
-    """The flight as a PX4 log."""
+def px4_example(folder: Path) -> Path:
+    """The example flight as a PX4 log, with a delay: the log does not say it."""
+    recorded = contents(BAGS / "c172p")
+    recorded.actuator_t_ns -= DELAY_NS
+    recorded.rates *= TO_FRD
+    recorded.specific_force *= TO_FRD
     seldom = stamps(recorded.actuator_t_ns[::5])
     speed = {"timestamp": seldom, "vel_m_s": np.full(len(seldom), SPEED, np.float32)}
-    turned = {name: getattr(recorded, name) * TO_FRD for name in ("rates", "specific_force")}
-    topics = allocated(dataclasses.replace(recorded, **turned))
-    return write_ulog(
-        folder / "c172p.ulg", topics | {("vehicle_gps_position", 0): speed}, FIXED_WING
-    )
+    topics = allocated(recorded) | {("vehicle_gps_position", 0): speed}
+    return write_ulog(folder / "c172p.ulg", topics, FIXED_WING)
 
 
 def test_the_whole_way_from_a_log_to_a_verdict(
     tmp_path: Path, importer: Importer, replayed_example: Path
 ) -> None:
     """By the two commands a user types, without an option."""
-    bag, output = importer(px4_example(delayed(), tmp_path)).folder, tmp_path / "imported"
+    bag, output = importer(px4_example(tmp_path)).folder, tmp_path / "imported"
     assert replay(bag, output, by=bag / "identifier.yaml") == 0
     imported, recorded = summary(output), summary(replayed_example)
     assert imported["usable"] and recorded["usable"]
