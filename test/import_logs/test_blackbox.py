@@ -70,7 +70,7 @@ def test_the_range_of_an_old_firmware_is_the_throttle_s(importer: Importer) -> N
     old = blackbox().replace(b"motorOutput:48,2047", b"minthrottle:1100\nH maxthrottle:1900")
     _, values, printed = importer(log_of(importer, old))
     assert values["actuators.scale"] == [1.0 / 800] * 4
-    assert "motor commands from 1100 to 1900 (minthrottle, maxthrottle)" in printed
+    assert "motor of quad x, 1100 to 1900 counts" in printed
 
 
 def test_a_firmware_with_an_odd_name(importer: Importer) -> None:

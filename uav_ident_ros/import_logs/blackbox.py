@@ -75,8 +75,6 @@ class _Blackbox(Import):
             arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
         throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
         low, high = headers.get("motorOutput", throttle)
-        said_by = "motorOutput" if "motorOutput" in headers else "minthrottle, maxthrottle"
-        log.findings.read.append(f"motor commands from {low} to {high} ({said_by})")
         log.findings.assumed.append(
             "a quadrotor in X with Betaflight's motor order (rear right, front right, rear left, "
             f"front left), propellers turning inwards at the front{turned}"

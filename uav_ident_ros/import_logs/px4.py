@@ -209,35 +209,24 @@ class _Px4(Import):
         log, prefix, functions = self.log, self._pins(), self._functions()
         values = topic.array("output")
         count = min(int(np.max(topic.columns["noutputs"])) or MOST_PINS, values.shape[1])
-        # The range of all pins: of a group of pins (v1.12), of all (before), of none (from v1.13)
-        said_by = {
-            end: next((n for n in (f"{prefix}_{end}", f"PWM_{end}") if n in log.parameters), "")
-            for end in ("MIN", "MAX")
-        }
-        usual = {
-            end: log.parameter(said_by[end], width)
-            for end, width in (("MIN", PWM_MIN), ("MAX", PWM_MAX))
-        }
-        servos: dict[int, Channel] = {}
         if any(functions):
             known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
-            servos = dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
-            said = f"{prefix}_FUNC{{}} {{}}"
+            known |= dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
+            said = [f"{prefix}_FUNC{pin} {number}" for pin, number in enumerate(functions, 1)]
             instance = self.choice.actuators_instance
             log.findings.assumed.append(
                 f"instance {instance} of actuator_outputs are the pins {prefix}"
             )
         elif log.parameters.get("MAV_TYPE") == QUADROTOR:
-            arms = enumerate(effects_of_arms(KNOWN["quad_x"]), 1)
-            known = {i: Channel(f"motor_{i}", effect, "") for i, effect in arms}
-            functions, said = [*range(1, MOST_PINS + 1)], "output of quad x"
+            known = {
+                function: Channel(f"motor_{function + 1 - MOTOR_FUNCTION}", effect, "")
+                for function, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), MOTOR_FUNCTION)
+            }
+            functions = [*range(MOTOR_FUNCTION, MOTOR_FUNCTION + MOST_PINS)]
+            said = ["output of quad x"] * MOST_PINS
             log.findings.assumed.append(
                 "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear "
                 "right) on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
-            )
-            by = f" ({', '.join(said_by.values())})" if all(said_by.values()) else ""
-            log.findings.read.append(
-                f"pulse widths from {usual['MIN']:g} to {usual['MAX']:g} us{by}"
             )
         else:
             raise log.refusal(
@@ -246,18 +235,23 @@ class _Px4(Import):
             )
         channels = []
         for pin, function in enumerate(functions[:count], 1):
-            channel = Channel(f"output_{pin}", NO_EFFECT, said.format(pin, function), unit="us")
-            if (moved := (known | servos).get(function)) is not None:
+            channel = Channel(f"output_{pin}", NO_EFFECT, said[pin - 1], unit="us")
+            if (moved := known.get(function)) is not None:
                 channel = replace(channel, name=moved.name, effect=moved.effect)
-                # -1: as of all pins
-                own = {end: log.parameter(f"{prefix}_{end}{pin}", -1.0) for end in usual}
-                ends = [width if width >= 0.0 else usual[end] for end, width in own.items()]
-                centre = sum(ends) / 2.0 if function in servos else None
+                low, high = self._width(pin, "MIN", PWM_MIN), self._width(pin, "MAX", PWM_MAX)
+                centre = (low + high) / 2.0 if function >= SERVO_FUNCTION else None
                 bit = int(log.parameter(f"{prefix}_REV")) >> (pin - 1) & 1
                 turned = bool(bit or log.parameter(f"{prefix}_REV{pin}"))
-                channel = over_range(channel, *ends, centre=centre, turned=turned)
+                channel = over_range(channel, low, high, centre=centre, turned=turned)
             channels.append(channel)
         return Stream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)
+
+    def _width(self, pin: int, end: str, usual: float) -> float:
+        """Return an end of a pin's range: its own, that of a group of pins (v1.12), of all."""
+        prefix = self._pins()
+        names = (f"{prefix}_{end}{pin}", f"{prefix}_{end}", f"PWM_{end}")
+        widths = (self.log.parameter(name, -1.0) for name in names)  # -1: as of those
+        return next((width for width in widths if width >= 0.0), usual)
 
 
 # --- what the parameters say ----------------------------------------------------------------------
@@ -306,9 +300,6 @@ def _motors(log: Log, count: int) -> list[Channel]:
         )
     elif rotors and airframe == FIXED_WING:
         effects[:rotors] = [(0.0, 0.0, 0.0, 1.0 / rotors)] * rotors
-        log.findings.read.append(
-            f"{rotors} motor(s) of a fixed wing (CA_AIRFRAME 1): dth is their mean"
-        )
     elif rotors:
         log.findings.assumed.append(
             f"CA_AIRFRAME {airframe}: what the motors turn is not known here, they are only "
