@@ -5,10 +5,11 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from light_aircraft import LightFlight
+from light_aircraft import TRUTH, LightFlight
 
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.samples import EXCITATION
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import Flight
@@ -51,22 +52,38 @@ def measured(duration: float, noise: float = 0.02, **changes: Any) -> Measuremen
     return measure(plant_flight(duration, **changes), Sensors(gyro_noise=noise), seed=2)
 
 
-PEAKS = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
+SURFACES = {"de": 0.06, "dr": 0.08, "da": 0.06}
+PEAKS = SURFACES | {"dth": 0.1}
+LIGHT_SENSORS = {"rate": 100.0, "gyro_noise": 0.01, "accelerometer_noise": 0.15}
 
 
 def light_measured(
     seconds: float,
     peaks: Mapping[str, float] = PEAKS,
-    lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0),
     start: float = 2.0,
-    imu_rate: float = 100.0,
+    sensors: Mapping[str, Any] | None = None,
+    noise_seed: int = 0,
     **aircraft: Any,
 ) -> Measurements:
-    """Multisines on an aircraft with flow angles, in light gusts, as its Imu measures them."""
-    segments = [Segment("multisine", start, seconds, peaks, seed=1)]
-    flight = flight_of(LightFlight(segments, seconds, **{"gust": 0.3, "seed": 1, **aircraft}))
-    noise = {"gyro_noise": 0.01, "accelerometer_noise": 0.15}
-    return measure(flight, Sensors(rate=imu_rate, lever_arm=lever_arm, **noise))
+    """Multisines on an aircraft with flow angles, in light gusts, as its Imu measures them.
+
+    Without `peaks` its autopilot flies it alone.
+    """
+    values: dict[str, Any] = {"gust": 0.3, "seed": 1, **aircraft}
+    excited = Segment("multisine", start, seconds, peaks, seed=values["seed"])
+    segments = values.pop("segments", (excited,) if peaks else ())
+    flight = flight_of(LightFlight(segments, seconds, **values))
+    return measure(flight, Sensors(**{**LIGHT_SENSORS, **(sensors or {})}), noise_seed)
+
+
+def light_errors(
+    estimate: Estimate, *names: str, factor: float = 1.0
+) -> tuple[FloatArray, FloatArray]:
+    """How far coefficients are from `factor` times that aircraft's: in shares, and in sigmas."""
+    places = tuple(zip(*map(STRUCTURES["flight_dynamics"].index, names), strict=True))
+    true = factor * np.array([TRUTH[name] for name in names])
+    error = np.abs(estimate.coefficients[places] - true)
+    return error / np.abs(true), error / estimate.sigma[places]
 
 
 def settings(measurements: Measurements, **changes: Any) -> Settings:
@@ -79,6 +96,18 @@ def settings(measurements: Measurements, **changes: Any) -> Settings:
 def messages(measurements: Measurements) -> list[Message]:
     """All messages in the order of arrival."""
     return list(measurements.messages())
+
+
+def with_injected(measurements: Measurements, after: float = 0.0) -> list[Message]:
+    """All messages, from a time on (s) with those of what was injected."""
+    injected = measurements.flight.injected.tolist()
+    first, stamps = int(measurements.imu_t_ns[0]), measurements.actuator_t_ns.tolist()
+    added = [
+        Message(t, EXCITATION, t, tuple(values))
+        for t, values in zip(stamps, injected, strict=True)
+        if (t - first) * 1e-9 >= after
+    ]
+    return sorted([*messages(measurements), *added], key=lambda message: message.arrival_ns)
 
 
 def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimate]:

@@ -5,8 +5,8 @@ import random
 
 import numpy as np
 import pytest
-from flying import Message, run, settings
-from light_aircraft import TRUTH, LightFlight
+from flying import Message, identified, light_measured, run, with_injected
+from light_aircraft import TRUTH
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
 from uav_ident_ros.identification.estimate import Estimate
@@ -15,7 +15,7 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.parallel_model import ParallelModel
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.samples import ACTUATORS, EXCITATION, Drop
+from uav_ident_ros.identification.samples import EXCITATION, Drop
 from uav_ident_ros.identification.sampling import Block, Sampler, join
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
@@ -26,7 +26,6 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.noise import Sensors, measure
 
 RATES_NS = np.arange(0, 4000, 10) * MS
 INPUTS_NS = np.arange(0, 4000, 20) * MS
@@ -184,18 +183,9 @@ def excited(gust: float, seed: int, start: float = 10.0) -> list[Estimate]:
     """
     peaks = {"de": 0.08, "dr": 0.08, "da": 0.08}
     segment = Segment("multisine", start, 17.0, peaks, 10.0, (0.2, 2.0), seed=seed)
-    flight = LightFlight((segment,), 17.0, bank=20.0, gust=gust, delay=0.02, seed=seed).fly()
-    sensors = Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15)
-    measurements = measure(flight, sensors, seed)
-    stream: list[Message] = []
-    given = iter(flight.injected.tolist())
-    for message in measurements.messages():
-        stream.append(message)
-        if message.stream == ACTUATORS:
-            added = tuple(next(given))
-            if message.arrival_ns - stream[0].arrival_ns >= 10_000 * MS:
-                stream.append(message._replace(stream=EXCITATION, values=added))
-    return run(OnlineIdentifier(settings(measurements)), stream)
+    flight = {"segments": (segment,), "bank": 20.0, "gust": gust, "delay": 0.02, "seed": seed}
+    m = light_measured(17.0, noise_seed=seed, **flight)
+    return identified(m, stream=with_injected(m, after=10.0))[1]
 
 
 def test_an_excitation_is_not_held_back_by_what_an_autopilot_told_before() -> None:

@@ -390,7 +390,7 @@ AILERON = 45.0
 @cache
 def with_an_imu_at(height: float, told: float) -> tuple[OnlineIdentifier, Estimate]:
     """Return an identifier after an excited flight with the Imu above the centre of gravity, m."""
-    m = light_measured(40.0, lever_arm=(0.0, 0.0, -height))
+    m = light_measured(40.0, sensors={"lever_arm": (0.0, 0.0, -height)})
     identifier, (*_, last) = identified(m, imu__lever_arm=[0.0, 0.0, -told])
     return identifier, last
 

@@ -18,17 +18,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from parameter_docs import render
 
 from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
-from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
 from uav_ident_ros.identification.samples import LARGEST_GYRO_RATE, LATEST_STAMP
 from uav_ident_ros.identification.settings import (
     LARGEST_NUMBER,
     MAX_DELAY,
-    Setting,
     Settings,
     SettingsError,
     declarations,
@@ -427,64 +424,3 @@ def test_saving_and_loading_coefficients_is_the_identity(
     before = path.read_bytes()
     save_coefficients(loaded, path, loaded_notes)
     assert path.read_bytes() == before
-
-
-def value_of(setting: Setting, channels: int, structure: str) -> st.SearchStrategy[Any]:
-    """Any value that a setting allows; lists have the length that goes with the others."""
-    n = STRUCTURES[structure].size
-    number = st.floats(
-        max(setting.low, -1e300),
-        min(setting.high, 1e300),
-        # C's strtod, and so rcl, does not read them.
-        allow_subnormal=False,
-    )
-    names = STRUCTURES[structure].names
-    one_for_each = {"min_size": channels, "max_size": channels}
-    special = {
-        "actuators.channels": st.lists(st.integers(0, 2**31), **one_for_each)
-        | st.lists(st.text(min_size=1), **one_for_each),
-        "fixed_coefficients": st.lists(st.sampled_from(names), unique=True),
-        "supervision.expected_signs": st.lists(
-            st.sampled_from([sign + name for sign in "+-" for name in names]), unique=True
-        ),
-        # the lower frequency first
-        "excitation.band": st.lists(number, min_size=2, max_size=2, unique=True).map(sorted),
-    }
-    if setting.name in special:
-        return special[setting.name].map(tuple)
-    if setting.type == "float[]":
-        lengths = {
-            "imu.rpy": (3,), "imu.lever_arm": (3,), "model.inertia": (0, 4),
-            "excitation.amplitude": (4,), "actuators.scale": (0, channels),
-            "actuators.trim": (0, channels), "gradient.gains": (0, n, n * n),
-            "initial_coefficients": (0, len(STRUCTURES[structure].dense_rows) * n),
-        }.get(setting.name, (channels,))  # fmt: skip
-        return st.sampled_from(lengths).flatmap(
-            lambda k: st.lists(number, min_size=k, max_size=k).map(tuple)
-        )
-    if setting.choices:
-        return st.sampled_from(setting.choices)
-    return {"bool": st.booleans(), "float": number, "str": st.text()}[setting.type]
-
-
-@st.composite
-def every_setting(draw: st.DrawFn) -> Settings:
-    """Settings of which every single one may have any value that is allowed."""
-    channels = draw(st.integers(1, 6))
-    structure = draw(st.sampled_from(sorted(STRUCTURES)))
-    values = {
-        setting.name: draw(value_of(setting, channels, structure)) for setting in declarations()
-    }
-    values["structure"] = structure
-    return changed(values)
-
-
-@given(settings=every_setting())
-def test_settings_survive_the_way_to_a_parameter_file_and_back(
-    tmp_path_factory: pytest.TempPathFactory, settings: Settings
-) -> None:
-    assert Settings.from_values(settings.values()) == settings
-    path = tmp_path_factory.mktemp("written") / "vehicle.yaml"
-    path.write_text(render(settings), encoding="utf-8")
-    loaded = Settings.from_values(load_parameters(path, "/drone1/identifier"))
-    assert repr(loaded) == repr(settings)  # repr distinguishes 0.0 and -0.0
