@@ -112,16 +112,6 @@ def test_it_starts_at_the_attitude_of_the_first_samples() -> None:
     np.testing.assert_allclose(state.down, down, atol=1e-6)
 
 
-def test_free_fall_does_not_move_the_attitude() -> None:
-    """Without a force of about gravity the gyro alone turns the attitude."""
-    roll, x, force = turn(0.6, 5.0, 0.01)
-    after = np.zeros((200, 3))
-    own = observer()
-    u = np.zeros((len(x) + 199, 4))
-    _, attitude = observed(own, np.concatenate([x, after]), np.concatenate([force, after]), u, 0.01)
-    assert attitude[-1, 0] == pytest.approx(roll[-1], abs=math.radians(1.0))
-
-
 def pushed(forward: float, seconds: float, scale: float = 1.0) -> FloatArray:
     """Roll and pitch, level and then pushed forward, m/s^2, which no airspeed tells of."""
     h = 0.01

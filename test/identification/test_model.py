@@ -12,7 +12,6 @@ from uav_ident_ros.identification.model import (
     plan_steps,
     with_measured_force,
 )
-from uav_ident_ros.identification.prior import slope_bounds, start_from
 from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
@@ -113,17 +112,6 @@ def test_a_force_row_of_nothing_leaves_no_moment_of_its_angle() -> None:
     without_beta = unknown[[0, 2]]
     without_beta[:, FLIGHT.column("beta")] = 0.0
     np.testing.assert_array_equal(with_measured_force(unknown, FLIGHT)[[0, 2]], without_beta)
-
-
-def test_the_start_never_divides_by_a_slope_that_cannot_be() -> None:
-    """A zero in the initial coefficients stands for an unknown, not for no lift."""
-    for given in (0.0, 5.0):
-        values = np.full((5, FLIGHT.size), given)
-        start = start_from(
-            Settings.from_values({"initial_coefficients": tuple(values.ravel().tolist())})
-        )
-        for name in ("ay/beta", "az/alpha"):
-            assert start.values[FLIGHT.index(name)] == slope_bounds(FLIGHT)[FLIGHT.index(name)] < 0
 
 
 @pytest.mark.parametrize(("h", "step"), [(0.005, 0.025), (0.0125, 0.025), (0.05, 0.05)])
