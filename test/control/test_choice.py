@@ -20,6 +20,17 @@ def choice(**options: bool) -> tuple[AxisChoice, CoefficientSource]:
     return AxisChoice(source, coefficients(), LIMITS, **options), source
 
 
+def found(
+    axis: int, factor: float, sigma: float = 0.1
+) -> tuple[AxisChoice, CoefficientSource, Effectiveness]:
+    """Let it be measured on one axis, at `LATER`, that the inputs have so much of their effect."""
+    (chosen, source), measured = choice(), Effectiveness()
+    chosen.update(START, measured)
+    measured.factor[axis], measured.sigma[axis] = factor, sigma
+    chosen.update(LATER, measured)
+    return chosen, source, measured
+
+
 def changed(message: Coefficients, name: str, value: float, sigma: float) -> Coefficients:
     values, sigmas = message.values.copy(), message.sigma.copy()
     values[STRUCTURE.index(name)], sigmas[STRUCTURE.index(name)] = value, sigma
@@ -187,10 +198,7 @@ def test_gusts_are_not_taken_for_a_lost_effect() -> None:
 
 
 def test_an_identified_row_must_not_undo_what_is_measured() -> None:
-    chosen, source = choice()
-    measured = Effectiveness()
-    chosen.update(START, measured)
-    measured.factor[0], measured.sigma[0] = 0.55, 0.1
+    chosen, source, measured = found(0, 0.55)
     assert chosen.update(LATER, measured).values[0, 2] == pytest.approx(29.5)  # a gust may be
     later = LATER + 10**9
     assert chosen.update(later, measured).values[0, 2] == pytest.approx(0.55 * 29.5)
@@ -206,10 +214,7 @@ def test_an_identified_row_must_not_undo_what_is_measured() -> None:
 
 def test_what_is_measured_is_followed_as_it_becomes_surer() -> None:
     """The first measurement says that the effect is another, a later one how much it is."""
-    chosen, measured = choice()[0], Effectiveness()
-    chosen.update(START, measured)
-    measured.factor[0], measured.sigma[0] = 0.6, 0.13
-    chosen.update(LATER, measured)
+    chosen, _, measured = found(0, 0.6, 0.13)
     later = LATER + 10**9
     assert chosen.update(later, measured).share[0] == pytest.approx(0.6)
     for since, sigma, seconds, share in [
@@ -240,10 +245,7 @@ def test_a_loop_that_rings_on_too_little_effect_goes_back_to_the_row(
     moved: float, share: float
 ) -> None:
     """A gust was taken for half of the effect; gyro noise may add four tenths to what is shown."""
-    chosen, measured = choice()[0], Effectiveness()
-    chosen.update(START, measured)
-    measured.factor[2], measured.sigma[2] = 0.5, 0.1
-    chosen.update(LATER, measured)
+    chosen, _, measured = found(2, 0.5)
     assert chosen.update(LATER + 10**9, measured).share[2] == pytest.approx(0.5)
     measured.moved[2], measured.moved_sigma[2], measured.sigma[2] = moved, 0.1, 1.0
     chosen.update(LATER + 2 * 10**9, measured)
@@ -373,8 +375,6 @@ def test_an_input_that_does_nothing_has_the_sign_of_before(reversals: int) -> No
 def test_what_is_measured_is_flown_on_if_it_stands_out(
     factor: float, rolls: bool, share: float
 ) -> None:
-    chosen, measured = choice()[0], Effectiveness()
-    chosen.update(START, measured)
-    measured.factor[1], measured.sigma[1], measured.dead[0] = factor, 0.1, not rolls
-    chosen.update(LATER, measured)
+    chosen, _, measured = found(1, factor)
+    measured.dead[0] = not rolls
     assert chosen.update(LATER + 10**9, measured).share[1] == pytest.approx(share)

@@ -52,10 +52,10 @@ def started(settings: ExcitationSettings = SETTINGS) -> ExcitationRun:
     return run
 
 
-def flown(run: ExcitationRun, ticks: int, flying: Flying = LEVEL) -> list[Injection | None]:
+def flown(run: ExcitationRun, ticks: int, ratio: float = 1.0) -> list[Injection | None]:
     """Step through so many ticks after the start."""
     steps = (T0_NS + (k + 1) * TICK_NS for k in range(ticks))
-    return [run.step(flying, estimate(t_ns)) for t_ns in steps]
+    return [run.step(LEVEL, estimate(t_ns, ratio)) for t_ns in steps]
 
 
 def values(injection: list[Injection | None]) -> np.ndarray:
@@ -226,23 +226,16 @@ def test_wrong_settings_are_refused_by_name() -> None:
 
 def test_it_fades_out_when_everything_is_known_but_not_before_a_period() -> None:
     settings = replace(SETTINGS, duration=60.0)
-    run = started(settings)
-    injection: list[Injection | None] = []
-    for k in range(1, 400):
-        t_ns = T0_NS + k * TICK_NS
-        injection.append(run.step(LEVEL, estimate(t_ns, ratio=100.0)))
-        if not run.active:
-            break
-    period = ProgrammedInput(settings).period
-    assert k * 0.05 == pytest.approx(period + settings.fade_time, abs=0.1)
-    assert run.why == f"everything is known after {period:.0f} s"
+    run, design = started(settings), ProgrammedInput(settings)
+    injection = flown(run, 399, ratio=100.0)
     size = np.abs(values(injection)).max(axis=1)
-    plain = np.abs([ProgrammedInput(settings).sample(0.05 * (i + 1)) for i in range(k)]).max(axis=1)
-    share = size[-20:-1] / plain[-20:-1]
-    assert (np.diff(share) < 0.0).all()  # out, not off
+    ends = int(np.flatnonzero(size)[-1]) + 2
+    assert 0.05 * ends == pytest.approx(design.period + settings.fade_time, abs=0.1)
+    assert run.why == f"everything is known after {design.period:.0f} s"
+    plain = np.abs([design.sample(0.05 * (k + 1)) for k in range(ends)]).max(axis=1)
+    assert (np.diff(size[ends - 20 : ends - 1] / plain[-20:-1]) < 0.0).all()  # out, not off
     run = started(replace(SETTINGS, min_t_ratio=0.0))  # to the end, if that is wanted
-    for k in range(1, 399):
-        run.step(LEVEL, estimate(T0_NS + k * TICK_NS, ratio=100.0))
+    flown(run, 398, ratio=100.0)
     assert run.active
 
 

@@ -46,16 +46,6 @@ def test_whatever_the_order_of_arrival_samples_wait_for_a_tick_at_or_after_their
         assert buffer.t.tolist() == buffer.v[:, 0].tolist() == used
 
 
-def test_waiting_samples_are_dropped_once_they_are_old() -> None:
-    buffer = SampleBuffer(1)
-    for t in range(0, 10_000):
-        buffer.append(t, (0.0,))
-        buffer.forget_waiting(t, 100)
-    buffer.merge(10_000)
-    assert 100 <= len(buffer.t) <= 202
-    assert buffer.t[-1] == 9_999
-
-
 # --- stamps -----------------------------------------------------------------------------------
 
 S = 1_000_000_000
@@ -101,12 +91,6 @@ def test_a_good_sample_between_breaks_the_agreement() -> None:
         assert add(intake, 10_000 * S + k * S // 200) is None
 
 
-def test_late_samples_are_good_stamps_and_do_not_turn_time_back() -> None:
-    intake = intake_at(10_000 * S)
-    assert add(intake, 10_000 * S - S // 2) is None
-    assert intake.newest_ns == 10_000 * S
-
-
 def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
     identifier = OnlineIdentifier(Settings())
     beyond = LATEST_STAMP + 1
@@ -146,18 +130,6 @@ def test_what_a_sensor_or_a_motor_can_say_is_taken_and_what_none_can_is_not(
 
     assert verdict(real) is None
     assert verdict(beyond) is Drop.IMPLAUSIBLE
-
-
-def test_ticks_end_with_the_last_stamp() -> None:
-    identifier = OnlineIdentifier(Settings())
-    start = LATEST_STAMP - 1_000_000_000
-    ticks = []
-    for k in range(400):
-        identifier.add_rates(start + k * S // 200, (0.0, 0.01 * (k % 7), 0.0))
-        identifier.add_actuators(start + k * S // 200, (0.0, 0.0, 0.0, 0.0))
-        ticks += [estimate.t_ns for estimate in identifier.advance()]
-    assert ticks
-    assert max(ticks) <= LATEST_STAMP
 
 
 # --- a clock that steps ---------------------------------------------------------------------------

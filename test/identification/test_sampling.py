@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import AMPLITUDES, messages, plant_flight, settings
+from flying import messages, plant_flight, settings
 
 from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.sampling import (
@@ -19,7 +19,7 @@ from uav_ident_ros.identification.sampling import (
 )
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 
 MS = 1_000_000
@@ -233,16 +233,6 @@ def test_a_slow_turn_and_light_gusts_are_steady_flight(
     add_rates(target, t * MS, rates[:, None] * np.ones(3))
     add_inputs(target, range(0, 3000 * MS, 20 * MS), 0.3)
     assert any(blocks(target, 3000 * MS)) == steady
-
-
-def test_trim_is_learned_in_steady_flight_only() -> None:
-    quiet, level = 3.0, np.array([0.02, -0.05, 0.1, 0.6])
-    segment = Segment("multisine", amplitudes=AMPLITUDES, duration=quiet, seed=2)
-    flight = plant_flight(8.0, segments=(segment,), trim=level)
-    measurements = measure(flight, Sensors(gyro_noise=0.02))
-    target, got = sampled(measurements, actuators__learn_trim_time=2.0)
-    assert (got[0].t_ns[0] - measurements.imu_t_ns[0]) * 1e-9 > quiet - 0.5
-    np.testing.assert_allclose(target.input_map.trim, level, atol=0.025)  # of 0.08 ... 0.2
 
 
 def test_a_learned_trim_is_an_average_over_time() -> None:
