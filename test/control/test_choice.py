@@ -88,17 +88,6 @@ def manoeuvre(t: float) -> FloatArray:
     return np.array([0.2 * np.sin(2.0 * t), 0.1 * np.sin(1.3 * t), 0.05 * np.sin(1.7 * t)])
 
 
-@pytest.mark.parametrize("effect", [1.0, 0.5, 0.0])
-def test_the_effect_is_measured(effect: float) -> None:
-    """Aileron of another effect: its axis and no other."""
-    flying, _ = controller()
-    flown(flying, np.array([1.0, 1.0, effect, 1.0]), manoeuvre, seconds=10.0, noise=0.002)
-    measured = flying.effectiveness
-    assert measured.factor[0] == pytest.approx(effect, abs=0.2)
-    assert not measured.reversed.any()
-    assert abs(measured.factor[0] - effect) < 4.0 * measured.sigma[0] + 0.05
-
-
 @pytest.mark.parametrize("surface", [0, 1, 2], ids=["elevator", "rudder", "aileron"])
 def test_a_reversed_surface_is_turned_before_the_aircraft_is_lost(surface: int) -> None:
     def effect(t: float) -> FloatArray:

@@ -2,6 +2,7 @@
 """Measured flights fed to the identifier, as tests need them."""
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,13 @@ def light_errors(
     return error / np.abs(true), error / estimate.sigma[places]
 
 
+def stiff_autopilot(seconds: float, seed: int) -> Measurements:
+    """That aircraft, not excited, on an autopilot that answers each gust, and they are strong."""
+    air = {"bank": 30.0, "gust": 1.0, "roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
+    imu = {"rate": 200.0, "gyro_noise": 0.02, "accelerometer_noise": 0.1}
+    return light_measured(seconds, {}, sensors=imu, noise_seed=seed, seed=seed, **air)
+
+
 def settings(measurements: Measurements, **changes: Any) -> Settings:
     """Settings that fit the flight; keywords with ``__`` for the dots."""
     values = dict(parameters(measurements))
@@ -113,6 +121,17 @@ def with_injected(measurements: Measurements, after: float = 0.0) -> list[Messag
 def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimate]:
     """Feed messages and compute every tick as soon as it is due."""
     return list(fed(identifier, stream))
+
+
+@cache
+def excited() -> Measurements:
+    """Three quarters of a minute of the small aircraft, excited."""
+    return measured(45.0)
+
+
+def fresh(**changes: Any) -> OnlineIdentifier:
+    """An identifier for that flight."""
+    return OnlineIdentifier(settings(excited(), structure="throttle_coupled", **changes))
 
 
 def identified(

@@ -4,7 +4,6 @@
 import math
 import pickle
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 from flying import AMPLITUDES as PLANT_AMPLITUDES
 from flying import (
     Message,
-    errors,
     identified,
     light_errors,
     light_measured,
@@ -21,7 +19,6 @@ from flying import (
     plant_flight,
     run,
     settings,
-    worst,
 )
 from numpy.typing import ArrayLike
 
@@ -49,11 +46,6 @@ def found(flight: Flight, sensors: Sensors = NOISY, **changes: Any) -> OnlineIde
     m = measure(flight, sensors)
     values = {"actuators__delay": 0.0, "actuators__estimate_delay": True, **changes}
     return identified(m, estimator="least_squares", **values)[0]
-
-
-@cache
-def late() -> OnlineIdentifier:
-    return found(plant_flight(45.0, delay=0.06), Sensors(), structure="throttle_coupled")
 
 
 @pytest.mark.parametrize(("delay", "lag"), [(0.15, 0.0), (0.02, 0.12)])
@@ -177,15 +169,6 @@ def test_inputs_that_come_seldom_are_held_too_long_and_a_line_mends_it() -> None
     assert (light_errors(joined, "pdot/da", "qdot/de")[0] < 0.15).all()
 
 
-def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
-    identifier = late()
-    assert identifier.delay == pytest.approx(0.06, abs=0.005)
-    assert identifier.delay_confidence == "sure"
-    names = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
-    a, flight = identifier.estimator.coefficients, plant_flight(1.0)
-    assert worst(errors(a, "throttle_coupled", flight, names)) < 0.05
-
-
 def test_what_was_learned_with_another_delay_counts_for_a_second() -> None:
     """Its sigma grows by the root of that and a little, since few seconds have told the scatter.
 
@@ -247,7 +230,7 @@ def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:
 
 
 def test_small_differences_are_left_alone() -> None:
-    estimate = late().delays.estimate
+    estimate = delay.judge(curve(0.11), DELAYS)
     near = 2.0 * estimate.sigma
     assert estimate.off(estimate.delay - 0.9 * near) == 0.0
     assert estimate.off(estimate.delay - 1.1 * near) == pytest.approx(1.1 * near)

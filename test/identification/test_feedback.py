@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying import identified, light_errors, light_measured
+from flying import identified, light_errors, light_measured, stiff_autopilot
 
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.prior import first_values, start_from
@@ -19,7 +19,6 @@ LAYOUT = layout(STRUCTURE)
 DT, TRUE, GUST_TIME = 0.05, 40.0, 1.0
 P, AILERON = 5, 10
 PDOT_DA = STRUCTURE.index("pdot/da")
-NOISE = {"rate": 200.0, "gyro_noise": 0.02, "accelerometer_noise": 0.1}
 
 
 def fly(
@@ -212,18 +211,18 @@ def test_what_may_be_chance_counts_where_it_could_hide_the_gusts(
 
 def test_an_autopilot_in_gusts_leaves_little_known_wrongly() -> None:
     """A stiff one, which answers each gust: half of the aileron looked known to a third."""
-    air = {"bank": 30.0, "gust": 1.0, "roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
     within = []
     for seed in range(1, 5):
-        m = light_measured(45.0, {}, sensors=NOISE, noise_seed=seed, seed=seed, **air)
-        within += [light_errors(e, "pdot/da")[1] < 2.0 for e in identified(m)[1][400:]]
+        _, estimates = identified(stiff_autopilot(45.0, seed))
+        within += [light_errors(e, "pdot/da")[1] < 2.0 for e in estimates[400:]]
     assert np.mean(within) > 0.6
 
 
 def test_an_excitation_after_an_autopilot_is_learned_from() -> None:
     """What answers may have hidden in other derivatives is no reason to doubt the elevator's."""
     peaks = {"de": 0.06, "da": 0.06, "dr": 0.06}
-    m = light_measured(55.0, peaks, start=30.0, sensors=NOISE, noise_seed=1, bank=20.0)
+    imu = {"rate": 200.0, "gyro_noise": 0.02, "accelerometer_noise": 0.1}
+    m = light_measured(55.0, peaks, start=30.0, sensors=imu, noise_seed=1, bank=20.0)
     _, (*_, last) = identified(m)
     assert light_errors(last, "qdot/de")[0] < 0.1
     assert last.sigma[STRUCTURE.index("qdot/de")] < 0.25 * 30.0

@@ -12,6 +12,8 @@ from flying import (
     AMPLITUDES,
     DOMINANT,
     Message,
+    excited,
+    fresh,
     identified,
     light_measured,
     measured,
@@ -40,11 +42,6 @@ from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.plant import CoefficientChange
 
 STRUCTURE = "throttle_coupled"
-
-
-@cache
-def excited() -> Measurements:
-    return measured(45.0)
 
 
 @cache
@@ -224,10 +221,6 @@ def thirds() -> tuple[list[Message], ...]:
     t = (np.array([m.t_ns for m in stream]) - stream[0].t_ns) * 1e-9
     cuts = np.searchsorted(t, [5.0, 10.0, 15.0])
     return tuple(stream[a:b] for a, b in zip([0, *cuts], cuts, strict=False))
-
-
-def fresh(**changes: Any) -> OnlineIdentifier:
-    return OnlineIdentifier(settings(excited(), structure=STRUCTURE, **changes))
 
 
 def test_armed_decides_if_there_is_a_topic_that_tells() -> None:

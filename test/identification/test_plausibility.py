@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 from equations import matrix
-from flying import PEAKS, flight_of, identified, light_measured, since
+from flying import PEAKS, flight_of, identified, light_errors, light_measured, since
 from light_aircraft import LightFlight
 from verdict_flights import MISTAKES
 
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.plausibility import (
     Plausibility,
@@ -116,23 +117,18 @@ def test_a_fault_stops_learning_but_can_be_switched_off() -> None:
 
 
 @pytest.mark.parametrize(
-    ("turn", "rpy"),
-    [
-        (np.diag([1, -1, -1]), (math.pi, 0.0, 0.0)),
-        ([[0, 0, -1], [0, 1, 0], [1, 0, 0]], (0.0, math.pi / 2, 0.0)),
-        ([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], (0.0, -math.pi / 2, 0.0)),
-        ([[1, 0, 0], [0, 0, 1], [0, -1, 0]], (math.pi / 2, 0.0, 0.0)),
-    ],
+    "rpy",
+    [(math.pi, 0.0), (0.0, math.pi / 2), (0.0, -math.pi / 2), (math.pi / 2, 0.0)],
     ids=["upside down", "x down", "x up", "on its side"],
 )
 def test_a_board_mounted_otherwise_is_named_with_the_angles_that_fit(
-    turn: Any, rpy: tuple[float, float, float]
+    rpy: tuple[float, float],
 ) -> None:
-    signals, turned = flown(), np.array(turn, dtype=float)
-    signals.rates, signals.force = signals.rates @ turned.T, signals.force @ turned.T
+    signals, turned = flown(), rotation(*rpy, 0.0)
+    signals.rates, signals.force = signals.rates @ turned, signals.force @ turned
     assert signals.findings() == ["mounting"]
     assert f"[{rpy[0]:.2f}, {rpy[1]:.2f}, yaw]" in signals.fault
-    assert signals.findings(imu__rpy=rpy) == []
+    assert signals.findings(imu__rpy=[*rpy, 0.0]) == []
 
 
 # --- where the borders are ----------------------------------------------------------------------
@@ -383,9 +379,6 @@ def test_an_unknown_expected_sign_is_refused() -> None:
 
 # --- settings that are off by a little ----------------------------------------------------------
 
-AILERON = 45.0
-"""pdot/da of the aircraft, 1/s^2."""
-
 
 @cache
 def with_an_imu_at(height: float, told: float) -> tuple[OnlineIdentifier, Estimate]:
@@ -399,10 +392,10 @@ def with_an_imu_at(height: float, told: float) -> tuple[OnlineIdentifier, Estima
 def test_the_height_of_the_imu_is_found_and_sigma_covers_what_it_does(height: float) -> None:
     identifier, last = with_an_imu_at(height, 0.0)
     index = identifier.structure.index("pdot/da")
-    value, sigma = last.coefficients[index], last.sigma[index]
+    share, sigmas = light_errors(last, "pdot/da")
     assert identifier.estimator.height == pytest.approx(height, abs=0.02)
-    assert sigma > 1.5 * identifier.estimator.sigma[index]
-    assert 0.15 * AILERON < abs(value - AILERON) < 2.0 * sigma
+    assert last.sigma[index] > 1.5 * identifier.estimator.sigma[index]
+    assert share > 0.15 and sigmas < 2.0
 
 
 def test_sigma_covers_what_a_lag_takes_from_an_input_where_nothing_damps() -> None:

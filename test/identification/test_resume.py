@@ -13,6 +13,8 @@ from flying import (
     DOMINANT,
     SURFACES,
     errors,
+    excited,
+    fresh,
     identified,
     light_errors,
     light_measured,
@@ -21,6 +23,7 @@ from flying import (
     run,
     settings,
     since,
+    stiff_autopilot,
     worst,
 )
 from light_aircraft import TRUTH
@@ -32,24 +35,14 @@ from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.noise import Measurements
-from uav_ident_ros.simulation.plant import vehicle
 
 STRUCTURE = "throttle_coupled"
 
 
 @cache
-def first_flight() -> Measurements:
-    return measured(45.0)
-
-
-@cache
 def learned() -> CoefficientSet:
     """What the first flight has taught."""
-    return identified(first_flight(), structure=STRUCTURE)[0].coefficient_set()
-
-
-def fresh(**changes: Any) -> OnlineIdentifier:
-    return OnlineIdentifier(settings(first_flight(), structure=STRUCTURE, **changes))
+    return identified(excited(), structure=STRUCTURE)[0].coefficient_set()
 
 
 def warm(**changes: Any) -> OnlineIdentifier:
@@ -58,34 +51,17 @@ def warm(**changes: Any) -> OnlineIdentifier:
     return identifier
 
 
-def second_flight(seconds: float, **changes: Any) -> Measurements:
-    """Another flight, with other inputs."""
-    segments = (Segment("multisine", amplitudes=AMPLITUDES, seed=7),)
-    return measured(seconds, segments=segments, **changes)
-
-
 def test_it_goes_on_with_the_values_as_good_as_they_were_and_is_soon_usable() -> None:
-    measurements = second_flight(5.5)
-    flight = measurements.flight
-    before = worst(errors(learned().values, STRUCTURE, flight, DOMINANT))
-    estimates = run(warm(), messages(measurements))
+    m = measured(5.5, segments=(Segment("multisine", amplitudes=AMPLITUDES, seed=7),))
+    before = worst(errors(learned().values, STRUCTURE, m.flight, DOMINANT))
+    estimates = run(warm(), messages(m))
     last = estimates[-1]
     assert np.array_equal(estimates[0].coefficients, learned().values)
     assert last.usable, last.reason
     for estimate in estimates:
-        assert worst(errors(estimate.coefficients, STRUCTURE, flight, DOMINANT)) < before + 0.15
-    cold = run(fresh(), messages(measurements))[-1]
+        assert worst(errors(estimate.coefficients, STRUCTURE, m.flight, DOMINANT)) < before + 0.15
+    cold = run(fresh(), messages(m))[-1]
     assert (last.fit > cold.fit + 5.0).all()
-
-
-def test_an_aircraft_that_was_changed_on_the_ground_is_learned_anew() -> None:
-    aircraft = vehicle("small_uav")
-    structure = STRUCTURES[aircraft.structure]
-    changed = aircraft.coefficients.copy()
-    changed[structure.index("pdot/da")] *= 0.5
-    m = second_flight(15.0, vehicle=replace(aircraft, coefficients=changed))
-    last = run(warm(), messages(m))[-1]
-    assert worst(errors(last.coefficients, STRUCTURE, m.flight, ["pdot/da"])) < 0.1
 
 
 def test_what_is_fixed_keeps_its_initial_value() -> None:
@@ -118,7 +94,7 @@ def test_wrong_coefficients_are_refused_and_change_nothing() -> None:
 
 
 def test_how_it_learns_and_how_signals_are_made_may_change_and_the_coefficients_go_on() -> None:
-    stream = messages(first_flight())
+    stream = messages(excited())
     half = len(stream) // 2
     before = run(flown := fresh(), stream[:half])[-1]
     unchanged = run(deepcopy(flown), stream[half : half + 1000])[-1]
@@ -140,18 +116,15 @@ def test_how_it_learns_and_how_signals_are_made_may_change_and_the_coefficients_
         assert np.array_equal(first.coefficients, before.coefficients), name
         assert first.t_ns - before.t_ns < 1_000_000_000
         assert not np.array_equal(last.coefficients, before.coefficients), name
-    forgetful = deepcopy(flown)
-    forgetful.reconfigure(
-        Settings.from_values({**flown.settings.values(), "forgetting_time": 20.0})
-    )
-    last = run(forgetful, stream[half : half + 1000])[-1]
+    flown.reconfigure(Settings.from_values({**flown.settings.values(), "forgetting_time": 20.0}))
+    last = run(flown, stream[half : half + 1000])[-1]
     assert not np.array_equal(last.coefficients, unchanged.coefficients)
 
 
 def test_a_delay_that_is_corrected_in_flight_mends_the_coefficients() -> None:
-    flight, stream = first_flight().flight, messages(first_flight())
+    flight, stream = excited().flight, messages(excited())
     part = len(stream) // 4
-    right = settings(first_flight()).actuators.delay
+    right = settings(excited()).actuators.delay
     wrong = fresh(actuators__delay=right + 0.1)
     first = run(wrong, stream[:part])[-1]
     astray = worst(errors(first.coefficients, STRUCTURE, flight, DOMINANT))
@@ -180,8 +153,8 @@ def told(factor: float) -> CoefficientSet:
     return warm_start(STRUCTURES["flight_dynamics"], TRUTH, factor)
 
 
-@cache
-def excited() -> Measurements:
+def turning() -> Measurements:
+    """Turns of the light aircraft, excited."""
     imu = {"rate": 200.0}
     return light_measured(45.0, SURFACES, sensors=imu, noise_seed=1, bank=20.0, delay=0.02)
 
@@ -189,7 +162,7 @@ def excited() -> Measurements:
 @pytest.mark.parametrize("factor", [0.4, 1.7])
 def test_a_start_from_another_aircraft_is_left_and_named(factor: float) -> None:
     """All alike: what it leaves unexplained follows the inputs, as an autopilot's answers do."""
-    flown, (*_, last) = identified(excited(), told(factor))
+    flown, (*_, last) = identified(turning(), told(factor))
     wrong = {change.name for change in flown.supervisor.changed}
     assert wrong == {"pdot/da", "qdot/de", "rdot/dr"}
     assert (light_errors(last, *wrong)[0] < 0.1).all()
@@ -199,7 +172,7 @@ def test_a_start_from_another_aircraft_is_left_and_named(factor: float) -> None:
 
 
 def test_the_verdict_waits_as_after_a_cold_start_where_the_start_was_wrong() -> None:
-    flown, estimates = identified(excited(), told(1.7))
+    flown, estimates = identified(turning(), told(1.7))
     told_wrong = next(change for change in flown.supervisor.changed if change.told_wrong)
     first = told_wrong.t - estimates[0].t_ns * 1e-9
     assert first < 20.0
@@ -208,9 +181,6 @@ def test_the_verdict_waits_as_after_a_cold_start_where_the_start_was_wrong() -> 
 
 def test_a_right_start_stays_where_an_autopilot_answers_gusts() -> None:
     """Alone the flight would find half of the aileron."""
-    air = {"bank": 30.0, "gust": 1.0, "roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
-    imu = {"rate": 200.0, "gyro_noise": 0.02, "accelerometer_noise": 0.1}
-    m = light_measured(60.0, {}, sensors=imu, noise_seed=1, **air)
-    flown, (*_, last) = identified(m, told(1.0))
+    flown, (*_, last) = identified(stiff_autopilot(60.0, seed=1), told(1.0))
     assert flown.supervisor.changed == []
     assert light_errors(last, "pdot/da")[0] < 0.05
