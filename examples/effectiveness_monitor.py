@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Moves nothing: warns where an input does less than the coefficients say, or the opposite.
+"""Warn where an input has less effect than its coefficient, or the opposite one; move nothing.
 
 ``python3 examples/effectiveness_monitor.py --ros-args -p trim:="[0.07, 0.0, 0.0, 0.7]"``
 """

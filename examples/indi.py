@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Incremental inversion (INDI) on identified control derivatives: measured acceleration, no model.
+"""Incremental inversion (INDI): measured acceleration and identified control derivatives alone.
 
 ``python3 examples/indi.py --ros-args -p nominal_file:=coefficients.yaml``
 """

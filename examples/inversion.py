@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inversion of the identified model, with an observer for what it does not explain.
+"""Inversion of the identified model, with a disturbance observer.
 
 ``python3 examples/inversion.py --ros-args -p nominal_file:=coefficients.yaml``
 """

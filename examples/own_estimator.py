@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An estimator of one's own: the instrumental variable, for a controller that minds steps.
+"""An estimator of your own: the instrumental variable, with a limit to each coefficient's step.
 
 ``python3 examples/own_estimator.py bags/c172p`` replays a bag with it, and without.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gate of one's own: nothing is learned beyond a load factor, where a wing is not linear.
+"""A gate of your own: learning pauses beyond a load factor, where a wing is not linear.
 
 ``python3 examples/own_gate.py bags/c172p`` replays a bag with it, and without.
 """

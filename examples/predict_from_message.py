@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predict the next second from one message of ~/coefficients_named: nothing of the package is used.
+"""Predict the next second from one message of ~/coefficients_named, without this package.
 
 The equations are those of docs/controllers.md, "The model behind the numbers", in plain Python.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read ~/coefficients_named with rclpy and its message alone: nothing of this package is needed.
+"""Read ~/coefficients_named with rclpy and its message alone, without this package.
 
 The message is a JointState: `name`, `position` (value) and `effort` (standard deviation, 0 where a
 coefficient is fixed) run side by side. ``verdict/usable`` says whether a controller may act on it.
