@@ -125,6 +125,10 @@ class Memory:
             held, notes, age = recall(path, self._identifier.settings, now or datetime.now(UTC))
             self._identifier.resume(held, notes.delay, notes.servo_lag)
         except FileNotFoundError:
+            # Say before the flight, not after it, that nothing can be written there.
+            place = next(folder for folder in path.parents if folder.exists())
+            if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+                self._log.warning(f"cannot write '{path}': nothing can be written in '{place}'")
             return
         except (CoefficientsFileError, SettingsError, OSError) as error:
             self._refused = True
