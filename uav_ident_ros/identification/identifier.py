@@ -16,9 +16,9 @@ import numpy as np
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank, DelayEstimate
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
+from uav_ident_ros.identification.estimators.beside import Beside, known_inputs
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
-from uav_ident_ros.identification.fresh_start import FreshStart, known_inputs
 from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, SpikeFilter, grounded
 from uav_ident_ros.identification.parallel_model import (
     ParallelModel,
@@ -132,7 +132,7 @@ class OnlineIdentifier:
         self.intake = Intake(settings, self.restart)
         self.supervisor = Supervisor(settings, self.structure, gates)
         self._saved: FloatArray | None = None
-        self._fresh: FreshStart | None = None
+        self._fresh: Beside[Estimator] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -520,11 +520,11 @@ class OnlineIdentifier:
         if needless or known_inputs(self.estimator).any():
             self._fresh = None
             return
-        fresh = self._fresh or FreshStart(self._cold_estimator, self._layout)
+        fresh = self._fresh or Beside(self._cold_estimator(), self._layout)
         if fresh.estimator is self.estimator:  # one's own, which there is once
             return
         self._fresh = fresh
-        fresh.add(samples)
+        fresh.add(samples, np.ones(3))
         if fresh.time < JUDGED_FROM:
             return
         told = known_inputs(fresh.estimator, self.settings.supervision.min_t_ratio).any()

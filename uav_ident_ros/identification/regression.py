@@ -269,12 +269,6 @@ class RowSamples:
         signals = np.concatenate([part.signals for part in parts], axis=-2)
         return cls(signals[..., max(signals.shape[-2] - newest, 0) :, :], parts[-1].dt)
 
-    def left_by(self, linear: FloatArray) -> RowSamples:
-        """Return the samples with the residuals that coefficients (rows, k) leave."""
-        rows = RowSamples(self.signals.copy(), self.dt)
-        rows.residual[:] = self.y - (self.f @ linear[..., None])[..., 0]
-        return rows
-
     def times(self, share: float) -> RowSamples:
         """Return the samples with their instruments times `share`."""
         rows = RowSamples(self.signals.copy(), self.dt)

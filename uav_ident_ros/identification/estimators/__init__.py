@@ -15,7 +15,7 @@ from uav_ident_ros.identification.estimators.recursive import RecursiveRegressio
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 
 class Estimator(Protocol):
@@ -103,8 +103,4 @@ def make_estimator(settings: Settings, start: Start) -> Estimator:
     if settings.estimator == "gradient":
         return GradientEstimator(settings, start)
     instrumental = settings.estimator == "instrumental_variable"
-    structure, alone = STRUCTURES[settings.structure], None
-    if start.told(structure).any():
-        doubted = start.doubted(structure)
-        alone = RecursiveRegression(doubted, settings, instrumental=instrumental)
-    return RecursiveRegression(start, settings, instrumental=instrumental, alone=alone)
+    return RecursiveRegression(start, settings, instrumental=instrumental)

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from uav_ident_ros.identification.estimators.beside import Beside
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information, Solution
@@ -61,10 +62,6 @@ class RecursiveRegression:
     instrumental : bool
         Whether the instrumental variable gives the coefficients. If not, it only tells how
         far least squares is biased.
-    alone : RecursiveRegression, optional
-        The same of who was told nothing: what the flight alone tells. What was told is withdrawn
-        where that contradicts it; whether inputs answer disturbances is judged by its residuals,
-        since those of a wrong model follow the inputs.
     """
 
     def __init__(
@@ -73,13 +70,19 @@ class RecursiveRegression:
         settings: Settings,
         *,
         instrumental: bool,
-        alone: RecursiveRegression | None = None,
     ) -> None:
-        self._alone = alone
         self._structure = STRUCTURES[settings.structure]
         self._layout = layout(self._structure)
         self._error = ModelError(self._layout)
-        self._feedback: Feedback = alone._feedback if alone else Feedback(self._layout)
+        self._feedback = Feedback(self._layout)
+        # What the flight alone tells, where something else was told, too. That is withdrawn where
+        # it contradicts it; whether inputs answer disturbances is judged by its residuals, since
+        # those of a wrong model follow the inputs.
+        self._alone: Beside[RecursiveRegression] | None = None
+        if start.told(self._structure).any():
+            doubted = start.doubted(self._structure)
+            blank = RecursiveRegression(doubted, settings, instrumental=instrumental)
+            self._alone, self._feedback = Beside(blank, self._layout), blank._feedback
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
         self._injected = self._ever_injected = False
         self.problem = ""
@@ -122,7 +125,7 @@ class RecursiveRegression:
         inputs_known = start.known_before(self._structure)[: len(ROWS), INPUT_COLUMNS]
         self._known_before = inputs_known.any(axis=1)
         if self._alone:
-            self._alone.start = start.doubted(self._structure)
+            self._alone.estimator.start = start.doubted(self._structure)
         self.coefficients = np.where(start.free, self.coefficients, start.values)
         self.sigma = np.where(start.free, self.sigma, start.sigma)
 
@@ -134,8 +137,7 @@ class RecursiveRegression:
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Add samples and solve."""
-        if self._alone:
-            self._alone.update_beside(samples, rows, white, weight)
+        alone_has_learned = self._alone is not None and self._alone.add(samples, weight)
         moments = rows.residual[: len(ROWS)].T
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.clear, self.learning = self._gate.clear, self._gate.learning & (weight > 0.0)
@@ -174,8 +176,8 @@ class RecursiveRegression:
         answering = None if samples.injected else self._feedback.answering
         self.information.add(parts, weight, answering)
         self._follow_changes(samples)
-        if self._alone:
-            self._withdraw(self._alone)
+        if self._alone and alone_has_learned:
+            self._withdraw(self._alone.estimator)
         self._since_sigma += samples.time
         self._solve(0.5 * samples.dt)
 
@@ -259,13 +261,6 @@ class RecursiveRegression:
 
     # -- what was told -----------------------------------------------------------------------
 
-    def update_beside(
-        self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
-    ) -> None:
-        """Update by samples whose residuals are those of another estimate."""
-        own = self._known[0].linear[0]
-        self.update(samples, rows.left_by(own), white.left_by(own), weight)
-
     def _contradicted(self, alone: RecursiveRegression) -> BoolArray:
         """Return which coefficients the flight alone contradicts, as told, shape (R, n).
 
@@ -290,8 +285,8 @@ class RecursiveRegression:
         Of rows whose main control derivative is among them nothing told is left: they go on with
         what the flight alone tells, since their own residuals are those of a wrong model.
         """
-        if alone._since_sigma or not (against := self._contradicted(alone)).any():
-            return  # where it has not looked anew, nothing is new
+        if not (against := self._contradicted(alone)).any():
+            return
         for row in np.flatnonzero(against[MAIN_DERIVATIVES]).tolist():
             against[row] = True
             self.information.set_row(row, alone.information.sums_of())
@@ -308,14 +303,14 @@ class RecursiveRegression:
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""
         if self._alone:
-            self._alone.reconfigure(settings)
+            self._alone.estimator.reconfigure(settings)
         self.information.forgetting_time = settings.forgetting_time
         self._gate.settings = settings.supervision
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
         if self._alone:
-            self._alone.forget(weight)
+            self._alone.estimator.forget(weight)
         self.information.discount(weight)
         self._error = ModelError(self._layout)
         self._begin_changes()
