@@ -239,7 +239,7 @@ class SpikeFilter:
         rows, which = np.concatenate((self._last[None], samples)), None
         if self._time >= INDEPENDENT_TIME:
             limit = NOISE_SWING * np.sqrt(self._square)
-            if (np.abs(rows[1:] - rows[:-1]) > limit).any():
+            if np.logical_or.reduce(np.abs(rows[1:] - rows[:-1]) > limit, axis=None):
                 which = self._far(rows, limit)
         if which is None:
             self._kept = samples[-1]

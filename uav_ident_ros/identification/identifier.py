@@ -609,7 +609,9 @@ class OnlineIdentifier:
         if self._news:
             self._look_at_settings()
             self._sigma = self._setup_errors.widened(self.estimator.sigma)
-        coefficients, sigma = self._coefficients().copy(), self._sigma * self._speed.scale
+        if self._news or self._speed.enabled:
+            self._shown = self._coefficients().copy(), self._sigma * self._speed.scale
+        coefficients, sigma = self._shown
         if self._news:
             self._verdict = self._judged(t_ns * NS, coefficients, sigma)
         self._news = False

@@ -35,24 +35,14 @@ LATERAL = [STATES.index(name) for name in ("p", "r", "beta", "phi")]
 
 @dataclass(frozen=True)
 class Condition:
-    """The flight condition to linearise about.
+    """The flight condition to linearise about."""
 
-    Parameters
-    ----------
-    airspeed : float
-        True airspeed, m/s.
-    rates : (3,) tuple of float
-        p, q, r, rad/s.
-    roll, pitch : float
-        Attitude, rad.
-    beta, alpha : float
-        Sideslip and angle of attack, rad, from where ay and az vanish.
-    """
-
-    airspeed: float
-    rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    airspeed: float  # True, m/s
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0)  # p, q, r, rad/s
+    # Attitude, rad
     roll: float = 0.0
     pitch: float = 0.0
+    # Sideslip and angle of attack, rad, from where ay and az vanish
     beta: float = 0.0
     alpha: float = 0.0
 
@@ -129,55 +119,27 @@ def damping(structure: Structure, values: FloatArray, airspeed: float) -> FloatA
 
 @dataclass(frozen=True)
 class Mode:
-    """A mode of the linear model, as its eigenvalue and in the words of the field.
+    """A mode of the linear model, as its eigenvalue and in the words of the field."""
 
-    Parameters
-    ----------
-    name : str
-        ``short period``, ``dutch roll``, ``roll``, ``spiral``; ``longitudinal`` or ``lateral``
-        where the eigenvalues do not allow such a name.
-    eigenvalue : complex
-        1/s; of a pair the one above the real axis.
-    eigenvalue_sigma : (float, float)
-        Standard deviations of its real and imaginary part, 1/s.
-    frequency, frequency_sigma : float
-        Natural frequency of an oscillation, rad/s; NaN for a real mode.
-    damping, damping_sigma : float
-        Damping ratio of an oscillation; NaN for a real mode.
-    time_constant, time_constant_sigma : float
-        Of a real mode, s; negative where it grows. NaN for an oscillation.
-    """
-
+    # ``short period``, ``dutch roll``, ``roll``, ``spiral``; ``longitudinal`` or ``lateral`` where
+    # the eigenvalues do not allow such a name
     name: str
-    eigenvalue: complex
-    eigenvalue_sigma: tuple[float, float]
+    eigenvalue: complex  # 1/s; of a pair the one above the real axis
+    eigenvalue_sigma: tuple[float, float]  # Of its real and imaginary part, 1/s
+    # Natural frequency, rad/s, and damping ratio of an oscillation; NaN for a real mode
     frequency: float = math.nan
     frequency_sigma: float = math.nan
     damping: float = math.nan
     damping_sigma: float = math.nan
+    # Of a real mode, s; negative where it grows. NaN for an oscillation
     time_constant: float = math.nan
     time_constant_sigma: float = math.nan
-
-    @property
-    def stable(self) -> bool:
-        """Whether it decays."""
-        return self.eigenvalue.real < 0.0
 
 
 def modes(
     structure: Structure, values: FloatArray, sigma: FloatArray, condition: Condition
 ) -> list[Mode]:
-    """Return the modes of a model with flow angles, longitudinal ones first.
-
-    Parameters
-    ----------
-    structure : Structure
-        Structure of the coefficients.
-    values, sigma : (R, n) arrays
-        Coefficients and their standard deviations.
-    condition : Condition
-        Where.
-    """
+    """Return the modes of a model with flow angles, longitudinal ones first."""
     a, _ = linearise(structure, values, condition)
     spread = _spread_of(structure, values, sigma, condition)
     found = []

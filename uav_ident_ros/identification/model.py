@@ -64,19 +64,13 @@ how much in which direction: ``derivative(state, drive, slope, ahead)``."""
 Step = tuple[Any, Any, Any, Number]
 
 
-def integrate(derivative: Derivative, state: State, steps: Iterable[Step]) -> Iterator[State]:
-    """Yield the state after each step, by the classical Runge-Kutta method of order 4.
-
-    Parameters
-    ----------
-    derivative : callable
-        The state's rate of change; see `Derivative`.
-    state : list of floats or (W,) arrays
-        Where to start.
-    steps : iterable of (first, middle, last, dt)
-        What drives the model at the beginning, in the middle and at the end of each step, and how
-        long it is, s.
-    """
+def integrate(
+    derivative: Derivative,
+    state: State,  # Where to start: floats or (W,) arrays
+    # What drives it at the beginning, in the middle and at the end of each, and the length, s
+    steps: Iterable[Step],
+) -> Iterator[State]:
+    """Yield the state after each step, by the classical Runge-Kutta method of order 4."""
     for first, middle, last, dt in steps:
         half, sixth = 0.5 * dt, dt / 6.0
         k1 = derivative(state, first)
@@ -90,20 +84,14 @@ def integrate(derivative: Derivative, state: State, steps: Iterable[Step]) -> It
         yield state
 
 
-def rates_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
+def rates_derivative(
+    a: FloatArray,  # (3, n) or (3, n, W) Coefficients; of the inputs' and later columns none counts
+    leak: float = 0.0,  # One over the leak's time constant, 1/s
+) -> Derivative:
     """Return the right-hand side for the state p, q, r.
 
-    Parameters
-    ----------
-    a : (3, n) or (3, n, W) array
-        Coefficients; their columns after the rates are in the drive.
-    leak : float
-        Reciprocal of the leak's time constant, 1/s; what it pulls towards is in the drive.
-
-    Returns
-    -------
-    callable
-        Its drive is the part of pdot, qdot, rdot that does not depend on the state.
+    Its drive is the part of pdot, qdot, rdot that does not depend on the state: inputs, forces, and
+    what the leak pulls towards.
     """
     moments = _moments(a, leak)
 
@@ -149,21 +137,14 @@ def _moments(a: FloatArray, leak: float) -> Callable[..., tuple[Number, Number, 
     return moments
 
 
-def flight_derivative(a: FloatArray, leak: float = 0.0) -> Derivative:
+def flight_derivative(
+    a: FloatArray,  # (7, n) or (7, n, W) Coefficients of a structure with flow angles
+    leak: float = 0.0,  # As in `rates_derivative`
+) -> Derivative:
     """Return the right-hand side for the state p, q, r, beta, alpha, d_x, d_y, d_z.
 
-    Parameters
-    ----------
-    a : (7, n) or (7, n, W) array
-        Coefficients of a structure with flow angles.
-    leak : float
-        As in `rates_derivative`.
-
-    Returns
-    -------
-    callable
-        Its drive: the parts of the seven rows that do not depend on the state, 1/V (s/m), and
-        what is added to the rate of change of d.
+    Its drive: the parts of the seven rows that do not depend on the state, 1/V (s/m), and what is
+    added to the rate of change of d.
     """
     rows, moments = _entries(a), _moments(a, leak)
     beta_column, alpha_column = range(LAST_COLUMNS.start, LAST_COLUMNS.stop)
@@ -236,18 +217,14 @@ def with_measured_force(coefficients: FloatArray, structure: Structure) -> Float
     return np.asarray(moments)
 
 
-def off_centre(coefficients: FloatArray, lever: FloatArray) -> FloatArray:
+def off_centre(
+    coefficients: FloatArray,  # (..., 3, n) A, with ay and az as its last regressors
+    lever: FloatArray,  # (2, 3) L, m: see `lever_arm_matrix`
+) -> FloatArray:
     """Coefficients for specific forces as measured by an offset accelerometer, (..., 3, n).
 
     With ``f = f_cg + L xdot`` the model ``xdot = A f_cg(...)`` is
     ``xdot = (I + A_f L)^-1 A f``, where A_f are the columns of ay and az.
-
-    Parameters
-    ----------
-    coefficients : (..., 3, n) array
-        A, with ay and az as its last regressors.
-    lever : (2, 3) array
-        L, m: see `lever_arm_matrix`.
     """
     forces = coefficients[..., LAST_COLUMNS]
     return np.asarray(np.linalg.solve(np.eye(3) + forces @ lever, coefficients))

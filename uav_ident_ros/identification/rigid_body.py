@@ -59,22 +59,13 @@ def product_coefficients(inertia: Inertia) -> FloatArray:
     return a
 
 
-def coefficients_from_physics(inertia: Inertia, moments: FloatArray) -> FloatArray:
-    """Coefficient matrix A from inertias and moment derivatives.
-
-    Parameters
-    ----------
-    inertia : Inertia
-        Moments of inertia, kg m^2.
-    moments : (3, n - 5) array
-        Derivatives of the moments L, M, N (N m) with respect to p, q, r (rad/s), de, dr,
-        da, dth, and, in the augmented structure, 1, ay, az: eqs. (11) and (15).
-
-    Returns
-    -------
-    (3, n) array
-        A, in 1/s^2 per unit of each regressor.
-    """
+def coefficients_from_physics(
+    inertia: Inertia,
+    # (3, n - 5) Derivatives of the moments L, M, N (N m) with respect to p, q, r (rad/s), de, dr,
+    # da, dth, and, in the augmented structure, 1, ay, az: eqs. (11) and (15)
+    moments: FloatArray,
+) -> FloatArray:
+    """Return the coefficients A, (3, n), in 1/s^2 per unit of each regressor."""
     moments = np.asarray(moments, dtype=np.float64)
     return np.hstack([product_coefficients(inertia), np.linalg.solve(inertia.tensor(), moments)])
 
@@ -82,12 +73,7 @@ def coefficients_from_physics(inertia: Inertia, moments: FloatArray) -> FloatArr
 def full_moments(structure: Structure, **derivatives: float) -> FloatArray:
     """Moment derivatives by name, as the (3, n - 5) array of `coefficients_from_physics`.
 
-    Parameters
-    ----------
-    structure : Structure
-        Structure whose regressors name the columns.
-    **derivatives : float
-        ``l_p``, ``m_de``, ``n_dr``: the moment (l, m, n), then the regressor; N m per unit.
+    A name is ``l_p``, ``m_de``, ``n_dr``: the moment (l, m, n), then the regressor; N m per unit.
 
     Raises
     ------

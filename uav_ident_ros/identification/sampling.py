@@ -67,7 +67,7 @@ class ServoLag:
         time_constant: float,  # s; 0 for none
         h: float,  # Cell width, s
     ) -> None:
-        self._ratio = time_constant / h
+        self.time_constant, self._ratio = time_constant, time_constant / h
         self._filter: BlockFilter | None = None
         if time_constant > 0.0:
             a = np.array([[-1.0 / time_constant]])
@@ -237,7 +237,8 @@ class Sampler:
         self.rates = SampleBuffer(6)
         self.raw_inputs = SampleBuffer(len(settings.actuators.channels))
         self.injected = SampleBuffer(len(INPUTS))
-        self.delay, self._time_constant = settings.actuators.delay, settings.actuators.time_constant
+        # Of the inputs, s
+        self.delay, self.time_constant = settings.actuators.delay, settings.actuators.time_constant
         self._memory_ns = round(MAX_DELAY * 1e9)
         self._linear = settings.actuators.interpolation == "linear"
         self.restart()
@@ -248,6 +249,7 @@ class Sampler:
         self.raw_inputs.clear()
         self.injected.clear()
         self.h_ns: int | None = None
+        self._lags: tuple[ServoLag, ServoLag] | None = None  # Of inputs, and of what is injected
         self._stale_ns = self._timeout_ns  # age at which an input was lost, when last asked
         self._edge_ns: int | None = None
         self._continues = False
@@ -294,24 +296,6 @@ class Sampler:
         return 0.5 * NS * float(np.median(np.diff(self.raw_inputs.t)))
 
     @property
-    def time_constant(self) -> float:
-        """First-order lag of the servos, s; with another one a new stretch of blocks begins."""
-        return self._time_constant
-
-    @time_constant.setter
-    def time_constant(self, value: float) -> None:
-        if value != self._time_constant:
-            self._time_constant, self._continues = value, False
-            self._follow()
-
-    def _follow(self) -> None:
-        """Let the inputs follow with the lag."""
-        if self.h_ns is not None:
-            self._lag, self._injected_lag = (
-                ServoLag(self._time_constant, self.h_ns * NS) for _ in range(2)
-            )
-
-    @property
     def _delay_ns(self) -> int:
         return round(self.delay * 1e9)
 
@@ -323,7 +307,6 @@ class Sampler:
                 return False
             interval = int(np.median(np.diff(self.rates.t)))
             self.h_ns = max(interval, FASTEST_CELL_NS)
-            self._follow()
         if not len(self.raw_inputs.t):
             self.waiting_for = "actuators"
             self.rates.trim(int(self.rates.t[-1]))
@@ -378,6 +361,9 @@ class Sampler:
     def _cut(self, first_ns: int, last_ns: int) -> Iterator[Block]:
         """Yield the blocks within one gap-free stretch, cut where the inputs are unknown."""
         assert self.h_ns is not None
+        if self._lags is None or self._lags[0].time_constant != self.time_constant:
+            own, injected = (ServoLag(self.time_constant, self.h_ns * NS) for _ in range(2))
+            self._lags = own, injected
         start = self._edge_ns
         if start is None or start < first_ns:
             start, self._continues = first_ns, False
@@ -422,7 +408,8 @@ class Sampler:
 
     def _block(self, edges: TimeArray, at: TimeArray, restarted: bool) -> Block:
         """Return the signals over cells, whose inputs were commanded `at` their edges."""
-        assert self.h_ns is not None
+        assert self.h_ns is not None and self._lags is not None
+        lag, injected_lag = self._lags
         signals = self.rates.interpolate(edges).reshape(-1, 2, 3)
         x, force = self._frame.to_body(signals).transpose(1, 0, 2)
         if self._offset:
@@ -430,12 +417,12 @@ class Sampler:
         raw = self.raw_inputs
         done = self.input_map.curved(raw.v)
         means = cell_means(raw.t, done, at, self._actuators.interpolation)
-        u, injected = self._lag.apply(self.input_map.mix(means), restarted=restarted), None
+        u, injected = lag.apply(self.input_map.mix(means), restarted=restarted), None
         if len(self.injected.t):
             t, v = with_silences(self.injected.t, self.injected.v, int(at[0]))
-            injected = self._injected_lag.apply(cell_means(t, v, at, "hold"), restarted=restarted)
+            injected = injected_lag.apply(cell_means(t, v, at, "hold"), restarted=restarted)
         early = None
-        if not self._linear and self._time_constant == 0.0:
+        if not self._linear and self.time_constant == 0.0:
             jumping = self.input_map.mix(done[raw.t.searchsorted(at, side="right") - 1])
             early = 0.5 * (jumping[1:] + jumping[:-1]) - u
         return Block(edges, self.h_ns * NS, x, u, force, restarted, injected, early)

@@ -20,6 +20,7 @@ from uav_ident_ros.identification.residuals import Confirmation
 from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
+    MAIN_COLUMNS,
     MAIN_DERIVATIVES,
     MAIN_INPUTS,
     ROWS,
@@ -92,8 +93,6 @@ class Supervisor:
         self.adapt = settings.adapt_on_start  # Whether learning is switched on
         self.armed: bool | None = None  # Whether the motors are; None if nothing was heard of it
         self._structure = structure
-        mains = [f"{row}/{surface}" for row, surface in MAIN_INPUTS.items()]
-        self._mains = [(name, structure.index(name)) for name in mains]
         self.gates = Gates(more)
         self.reset()
 
@@ -107,7 +106,7 @@ class Supervisor:
         self._learned: BoolArray = np.ones(3, dtype=bool)
         self.confirmed = Confirmation()  # Of control derivatives, by the flight
         self._sigma: FloatArray = np.full(self._structure.mask.shape, np.inf)
-        self._proven = False
+        self.proven = False  # Whether all rows have been usable since the start
         self.restart()
 
     def restart(self) -> None:
@@ -123,15 +122,10 @@ class Supervisor:
         """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1."""
         limit = self.settings.supervision.max_residual
         weight = self._residuals.weigh(residual, time, limit, clear)
-        if not self._proven:
+        if not self.proven:
             weight = np.ones(3)  # what was never good must be free to change at once
         self._within = weight > 0.0
         return weight
-
-    @property
-    def proven(self) -> bool:
-        """Whether all rows have been usable since the start."""
-        return self._proven
 
     @property
     def learning(self) -> BoolArray:
@@ -211,19 +205,19 @@ class Supervisor:
             for i in range(len(ROWS))
         )
         verdict = Verdict((first, second, third))
-        self._proven = self._proven or verdict.usable
+        self.proven = self.proven or verdict.usable
         return verdict
 
     def _unknown_input(self, row: int, coefficients: FloatArray, sigma: FloatArray) -> str:
         """Return how the main control derivative of a row is not known; empty if it is."""
-        name, index = self._mains[row]
-        needed = self.settings.supervision.min_t_ratio
+        index, needed = (row, MAIN_COLUMNS[row]), self.settings.supervision.min_t_ratio
         value, spread = abs(coefficients.item(index)), sigma.item(index)
         ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
         if ratio >= needed:
             return ""
-        move = MAIN_INPUTS[ROWS[row]]
-        return f"{name} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {move}"
+        name = ROWS[row]
+        move = MAIN_INPUTS[name]
+        return f"{name}/{move} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {move}"
 
     def state(self, verdict: Verdict) -> tuple[State, str]:
         """Return the state word, and why it is not learning or not usable."""

@@ -83,17 +83,14 @@ def _low_peak_phases(harmonics: Sequence[int], rng: np.random.Generator) -> Floa
 
 
 @lru_cache(maxsize=64)
-def multisine(period: float, harmonics: tuple[int, ...], seed: int = 0) -> Multisine:
+def multisine(
+    period: float,  # Common period, s
+    harmonics: tuple[int, ...],  # Multiples of 1 / period, each at least 1
+    seed: int = 0,
+) -> Multisine:
     """Design a multisine with a low relative peak factor that starts at zero.
 
-    Parameters
-    ----------
-    period : float
-        Common period, s.
-    harmonics : tuple of int
-        Multiples of 1 / period, each at least 1.
-    seed : int
-        Seed of the phases from which the optimisation starts.
+    The phases from which the optimisation starts are those of a seed.
 
     Raises
     ------
@@ -118,16 +115,7 @@ def multisine(period: float, harmonics: tuple[int, ...], seed: int = 0) -> Multi
 def disjoint_harmonics(
     count: int, period: float, band: tuple[float, float]
 ) -> tuple[tuple[int, ...], ...]:
-    """Deal the harmonics of a band out to `count` inputs in turn.
-
-    Parameters
-    ----------
-    count : int
-        Number of inputs.
-    period : float
-        Common period, s.
-    band : (low, high)
-        Band, Hz.
+    """Deal the harmonics of a band, Hz, out to `count` inputs in turn.
 
     Raises
     ------
@@ -158,20 +146,14 @@ def turn_time(shape: str, unit: float, pause: float) -> float:
     return unit * sum(length for length, _ in PULSES[shape]) + pause
 
 
-def pulses(t: FloatArray, count: int, shape: str, unit: float, pause: float) -> FloatArray:
-    """Pulses of `count` inputs that take turns, for ever, shape (len(t), count).
-
-    Parameters
-    ----------
-    t : (k,) array
-        Times from the start, s.
-    count : int
-        Number of inputs.
-    shape : str
-        ``3211`` or ``doublet``.
-    unit, pause : float
-        Length of the shortest pulse and of the quiet time after each input's turn, s.
-    """
+def pulses(
+    t: FloatArray,  # (k,) Times from the start, s
+    count: int,  # Of inputs
+    shape: str,  # ``3211`` or ``doublet``
+    unit: float,  # Length of the shortest pulse, s
+    pause: float,  # Quiet time after each input's turn, s
+) -> FloatArray:
+    """Pulses of `count` inputs that take turns, for ever, shape (len(t), count)."""
     turn = turn_time(shape, unit, pause)
     # A hair of tolerance, so that a pulse begins at the sample that it is due at.
     local = np.mod(t + 1e-9, count * turn)
