@@ -288,6 +288,19 @@ def test_servo_lag_is_exact_for_inputs_held_over_the_cells() -> None:
         state = command + (state - command) * np.exp(-h / tau)
 
 
+def test_with_another_lag_a_stretch_begins_where_the_inputs_are() -> None:
+    """They do not come up from zero with the new lag; it may change while blocks are taken."""
+    target, found = sampler(), []
+    add_rates(target, range(0, 2000 * MS, 10 * MS))
+    add_inputs(target, range(0, 2000 * MS, 10 * MS), 0.2)
+    for block in blocks(target, 2000 * MS):
+        found.append(block)
+        if block.t_ns[-1] >= 1000 * MS:
+            target.time_constant = 0.1
+    assert [block.t_ns[0] >= 1000 * MS for block in found if block.restarted] == [False, True]
+    assert all(block.u == pytest.approx(0.2) for block in found)
+
+
 def test_a_motors_thrust_follows_its_curve() -> None:
     """PX4's model: thrust = f s^2 + (1 - f) s of the scaled command."""
     values = {

@@ -237,7 +237,7 @@ class Sampler:
         self.rates = SampleBuffer(6)
         self.raw_inputs = SampleBuffer(len(settings.actuators.channels))
         self.injected = SampleBuffer(len(INPUTS))
-        # Of the inputs, s
+        # Of the inputs, s; with another lag a new stretch of blocks begins
         self.delay, self.time_constant = settings.actuators.delay, settings.actuators.time_constant
         self._memory_ns = round(MAX_DELAY * 1e9)
         self._linear = settings.actuators.interpolation == "linear"
@@ -363,7 +363,7 @@ class Sampler:
         assert self.h_ns is not None
         if self._lags is None or self._lags[0].time_constant != self.time_constant:
             own, injected = (ServoLag(self.time_constant, self.h_ns * NS) for _ in range(2))
-            self._lags = own, injected
+            self._lags, self._continues = (own, injected), False
         start = self._edge_ns
         if start is None or start < first_ns:
             start, self._continues = first_ns, False
