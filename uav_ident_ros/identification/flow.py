@@ -145,7 +145,13 @@ class FlowObserver:
             m, weight = _gravity(force, rates, v)
             self._turn(dt, rates, m, ATTITUDE_GAIN * weight)
             measured = _measured_angles(sample, forces)
-            self._follow_angles(dt, rates, force, measured, v, missing)
+            # Exactly for signals that are constant over the step
+            (p, q, r), (beta, alpha), keep = rates, self.angles, exp(-self._rate * dt)
+            for k, turning in ((0, p * alpha - r), (1, q - p * beta)):
+                by_p, bias = missing[k]
+                rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v
+                aim = measured[k] + (rate + by_p * p + bias) / self._rate
+                self.angles[k] = aim + keep * (self.angles[k] - aim)
             edges.append((*self.angles, *self.down))
         return FlowSignals(np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1), v)
 
@@ -168,25 +174,6 @@ class FlowObserver:
         z = gz - dt * (p * gy - q * gx)
         size = (x * x + y * y + z * z) ** 0.5
         self.down = (x / size, y / size, z / size)
-
-    def _follow_angles(
-        self,
-        dt: float,
-        rates: list[float],
-        force: list[float],
-        measured: list[float],
-        v: float,
-        missing: list[tuple[float, float]],
-    ) -> None:
-        """Move the flow angles on, exactly for signals that are constant over `dt`."""
-        keep = exp(-self._rate * dt)
-        p, q, r = rates
-        beta, alpha = self.angles
-        for k, turning in ((0, p * alpha - r), (1, q - p * beta)):
-            by_p, bias = missing[k]
-            rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v
-            aim = measured[k] + (rate + by_p * p + bias) / self._rate
-            self.angles[k] = aim + keep * (self.angles[k] - aim)
 
 
 def _measured_angles(sample: list[float], forces: list[Force]) -> list[float]:
