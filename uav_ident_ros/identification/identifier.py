@@ -129,9 +129,9 @@ class OnlineIdentifier:
         self.sampler = Sampler(settings)
         self._as_paper = settings.filter.method == "backward_difference"
         self._armed = SampleBuffer(1)
+        self._saved: FloatArray | None = None
         self.intake = Intake(settings, self.restart)
         self.supervisor = Supervisor(settings, self.structure, gates)
-        self._saved: FloatArray | None = None
         self._fresh: Beside[Estimator] | None = None
         self.reset()
 
@@ -277,13 +277,14 @@ class OnlineIdentifier:
     def _delay_estimate(self) -> DelayEstimate:
         return self.delays.estimate if self.settings.actuators.estimate_delay else NO_ESTIMATE
 
-    def _adopt_delay(self) -> None:
-        """Pair rates and inputs anew where the flight shows another delay, or another lag.
+    def _adopt_delay(self, block: Block) -> None:
+        """Pair rates and inputs anew where a block shows another delay, or another lag.
 
         What was learned with another one is biased, by tens of percent for 60 ms. It holds the
         coefficients until there are new data, so it counts for as much as `INDEPENDENT_TIME` tells.
         """
-        if not self.settings.actuators.estimate_delay:
+        looked = self.delays.add(block, self.delay, bool(self.estimator.learning.any()))
+        if not looked or not self.settings.actuators.estimate_delay:
             return
         estimate, before = self.delays.estimate, (self.delay, self.lag)
         if lag_off := estimate.lag_off(self.lag):
@@ -405,8 +406,8 @@ class OnlineIdentifier:
                 self._score(stretch)
                 samples = self._regress(stretch)
                 if stretch.learns:  # all gates were open
-                    self._estimate(samples.means(), stretch.end_ns * NS, stretch.blocks)
-                    self._follow_delay(stretch.block)
+                    self._estimate(samples.means(), int(stretch.block.t_ns[-1]), stretch.blocks)
+                    self._adopt_delay(stretch.block)
         return self._judge(t_ns)
 
     def _look(self, t_ns: int) -> None:
@@ -487,8 +488,8 @@ class OnlineIdentifier:
             block.excitation if stretch.injected else None,
         )
 
-    def _estimate(self, samples: Regression, t: float, ticks: int) -> None:
-        """Update the coefficients with samples of some ticks that end at `t` s."""
+    def _estimate(self, samples: Regression, t_ns: int, ticks: int) -> None:
+        """Update the coefficients with samples of some ticks that end at `t_ns`."""
         self.idle = 0.0
         estimator, supervisor = self.estimator, self.supervisor
         if not self._learned_time:  # what was learned was forgotten
@@ -502,17 +503,12 @@ class OnlineIdentifier:
         max_age = self.settings.supervision.max_age
         supervisor.confirmed.add(white, effect, self._noise.variance, max_age)
         estimator.update(samples, rows, white, weight)
-        supervisor.follow(t, estimator, ticks)
+        supervisor.follow(t_ns * NS, estimator, ticks)
         self._begin_anew_beside(samples)
         if self.estimator.changes:
             self.running_fit.forget()
         if self.estimator.contradicted:
             self._warm = self._is_warm()
-
-    def _follow_delay(self, block: Block) -> None:
-        """Follow what the flight says about the delay."""
-        if self.delays.add(block, self.delay, bool(self.estimator.learning.any())):
-            self._adopt_delay()
 
     def _begin_anew_beside(self, samples: Regression) -> None:
         """While a cold start has come to nothing, see whether the newest time alone tells more."""
@@ -597,7 +593,7 @@ class OnlineIdentifier:
         model.euler(self.estimator.coefficients, x, u, force, dt, self.settings.model.leak_time)
         self._fed_ns, self._news = t_ns, True
         if not self.supervisor.gates.closed:
-            self._estimate(regression, t_ns * NS, 1)
+            self._estimate(regression, t_ns, 1)
 
     def _judge(self, t_ns: int) -> Estimate:
         """Judge the coefficients, and return all that is published of a tick."""

@@ -76,11 +76,6 @@ class Stretch(NamedTuple):
     blocks: int = 1  # Number of blocks, one a tick
 
     @property
-    def end_ns(self) -> int:
-        """When it ends, ns."""
-        return int(self.block.t_ns[-1])
-
-    @property
     def kind(self) -> tuple[bool, bool, bool]:
         """What those must have alike that are joined."""
         return self.learns, self.readable, self.injected
