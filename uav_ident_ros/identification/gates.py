@@ -272,10 +272,9 @@ class SensorGate:
     """
 
     def __init__(self) -> None:
-        self._repeats: Repeats | None = None
+        self._repeats = Repeats()
         self._last: list[float] = []
-        self._constant_since = [0.0] * len(SIGNALS)
-        self._moved = [False] * len(SIGNALS)
+        self._moved = [math.inf] * len(SIGNALS)  # When each did so last, s
         # Of the rates: the largest magnitude so far, and the range that it has shown to be
         self._largest, self._range = [0.0] * AXES, [math.inf] * AXES
         self._bad_until = -math.inf
@@ -285,52 +284,47 @@ class SensorGate:
         """Return why to pause; empty if there is no reason."""
         t, samples, settings = look.t, look.samples, look.settings.supervision
         if len(samples):
-            if self._repeats is None:
-                self._repeats, self._last = Repeats(samples[0]), samples[0].tolist()
+            self._last = self._last or samples[0].tolist()
             self._repeats.add(samples)
             high = np.maximum.reduce(samples).tolist()
             low = np.minimum.reduce(samples).tolist()
             size = [max(high[i], -low[i]) for i in range(AXES)]
-            stuck = self._stuck(t, high, low, settings.stuck_time, self._repeats)
+            stuck = self._stuck(t, high, low, settings.stuck_time)
             self._last = samples[-1].tolist()
             problem = (
                 _at_range(size, [settings.max_rate or math.inf] * AXES)
                 or stuck
-                or self._clipped(size, self._repeats)
+                or self._clipped(size)
             )
             if problem:
                 self._reason, self._bad_until = problem, t + INDEPENDENT_TIME
         return self._reason if t < self._bad_until else ""
 
-    def _clipped(self, size: list[float], repeats: Repeats) -> str:
+    def _clipped(self, size: list[float]) -> str:
         """Find a range smaller than told: a rate stays at the largest value that it ever had."""
         for i, largest in enumerate(size):
             if largest > self._range[i]:
                 self._range[i] = math.inf
             self._largest[i] = max(self._largest[i], largest)
-            if self._moved[i] and abs(self._last[i]) >= self._largest[i]:
-                stays = repeats.present[i] >= IN_A_ROW - 1
-                if stays and repeats.by_chance()[i] < CHANCE:
+            if self._moved[i] < math.inf and abs(self._last[i]) >= self._largest[i]:
+                stays = self._repeats.present[i] >= IN_A_ROW - 1
+                if stays and self._repeats.by_chance()[i] < CHANCE:
                     self._range[i] = self._largest[i]
         return _at_range(size, self._range)
 
-    def _stuck(
-        self, t: float, high: list[float], low: list[float], stuck_time: float, repeats: Repeats
-    ) -> str:
+    def _stuck(self, t: float, high: list[float], low: list[float], stuck_time: float) -> str:
         """Find a signal that has moved and stays for longer than it is used to."""
         still = []
         for i, last in enumerate(self._last):
             if not low[i] == last == high[i]:
-                self._moved[i], self._constant_since[i] = True, t
-            elif self._moved[i] and t - self._constant_since[i] > stuck_time > 0.0:
+                self._moved[i] = t
+            elif t - self._moved[i] > stuck_time > 0.0:
                 still.append(i)
-        if not still:
-            return ""
-        chance = repeats.by_chance()
+        chance = self._repeats.by_chance() if still else ()
         stuck = [i for i in still if chance[i] < CHANCE]
         if not stuck:
             return ""
-        repeats.strange[stuck] = True
+        self._repeats.strange[stuck] = True
         signal = SIGNALS[stuck[0]]
         return f"the Imu is stuck: {signal} has not changed for {stuck_time:g} s or more"
 
@@ -349,22 +343,22 @@ class Repeats:
     A signal that rounds coarsely, or is logged slowly, repeats itself wherever it is quiet.
     """
 
-    def __init__(self, first: FloatArray) -> None:  # (6,) The first sample
-        self._last = first
-        self._waiting: list[FloatArray] = []
-        self._present: FloatArray = np.zeros(len(first))
+    def __init__(self) -> None:
+        self._waiting: list[FloatArray] = []  # To be counted, after the last sample that was
+        self._present: FloatArray = np.zeros(len(SIGNALS))
         # Of runs that have ended: how many there were, and the repeats in them
-        self._runs: FloatArray = np.zeros(len(first))
-        self._repeats: FloatArray = np.zeros(len(first))
-        self._changes: FloatArray = np.ones(len(first))
+        self._runs: FloatArray = np.zeros(len(SIGNALS))
+        self._repeats: FloatArray = np.zeros(len(SIGNALS))
+        self._changes: FloatArray = np.ones(len(SIGNALS))
         # Signals whose present run of equal values is no habit of theirs, as before they first
         # moved: it will not count as one
-        self.strange: BoolArray = np.ones(len(first), dtype=bool)
+        self.strange: BoolArray = np.ones(len(SIGNALS), dtype=bool)
 
     def add(self, samples: FloatArray) -> None:
         """Add new samples, (k, 6); those of many ticks are counted together."""
+        self._waiting = self._waiting or [samples[:1]]
         self._waiting.append(samples)
-        if len(self._waiting) >= IN_A_ROW**2:  # only memory depends on how many
+        if len(self._waiting) > IN_A_ROW**2:  # only memory depends on how many
             self._count()
 
     @property
@@ -375,11 +369,10 @@ class Repeats:
 
     def _count(self) -> None:
         """Count what waits."""
-        if not self._waiting:
+        if len(self._waiting) < 2:
             return
-        samples = np.concatenate((self._last[None], *self._waiting))
-        self._waiting.clear()
-        self._last = samples[-1]
+        samples = np.concatenate(self._waiting)
+        self._waiting = [samples[-1:]]
         same = samples[1:] == samples[:-1]
         changed: BoolArray = ~np.logical_and.reduce(same)
         repeats = np.add.reduce(same)
