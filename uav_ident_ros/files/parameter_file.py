@@ -26,7 +26,8 @@ PARAMETERS_KEY = "ros__parameters"
 IGNORED = ("use_sim_time", "start_type_description_service")
 """Parameters of every rclpy node, which mean nothing offline."""
 
-IGNORED_PREFIXES = ("qos_overrides.",)
+QOS_PREFIX = "qos_overrides."
+"""Begin of the parameters of its subscriptions, which mean as little."""
 
 _TRUE = frozenset(("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"))
 _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"))
@@ -107,7 +108,7 @@ def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
     return {
         name: value
         for name, value in ParameterFile.read(path).values_for(node).items()
-        if name not in IGNORED and not name.startswith(IGNORED_PREFIXES)
+        if name not in IGNORED and not name.startswith(QOS_PREFIX)
     }
 
 

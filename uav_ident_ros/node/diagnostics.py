@@ -16,13 +16,14 @@ from uav_ident_ros.identification.structure import ROWS
 TICKS_KEPT = 1200
 """Tick times kept for the percentiles: a minute at 20 Hz."""
 
-_LEVELS = {
+LEVELS: dict[str, bytes] = {
     "learning": DiagnosticStatus.OK,
     "converged": DiagnosticStatus.OK,
     "waiting": DiagnosticStatus.WARN,
     "paused": DiagnosticStatus.WARN,
     "fault": DiagnosticStatus.ERROR,
 }
+"""The diagnostic level of each state word."""
 
 
 class TickMeter:
@@ -66,11 +67,6 @@ class TickMeter:
                 for share, seconds in zip(shares, np.percentile(times, shares), strict=True):
                     which = f"p{share}" if share < 100 else "max"
                     yield f"{name} {which} [ms]", f"{1e3 * seconds:.{digits}f}"
-
-
-def level_of(state: str) -> bytes:
-    """Return the diagnostic level of a state word."""
-    return bytes(_LEVELS.get(state, DiagnosticStatus.WARN))
 
 
 def grouped(group: str, values: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:

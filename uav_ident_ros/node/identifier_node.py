@@ -21,7 +21,6 @@ from uav_ident_ros.files.coefficients_file import initial_coefficients
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import EXCITATION
-from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node import diagnostics
 from uav_ident_ros.node.ending import Ending
@@ -41,11 +40,6 @@ DIAGNOSTICS_PERIOD = 1.0
 LOOKS_PER_TICK = 5
 """How often the timer asks for due ticks in the time of one. Asked once, a tick waited for up to a
 whole period more: 25 ms in the mean, of coefficients that controllers wait for."""
-
-
-def look_period(update_rate: float) -> float:
-    """Period of the timer that asks for due ticks, s."""
-    return 1.0 / (LOOKS_PER_TICK * update_rate)
 
 
 class IdentifierNode(Node):
@@ -72,14 +66,15 @@ class IdentifierNode(Node):
         self._logged, self._warnings = "", list[str]()  # The last state and warnings
         self._excite = Excite(self, self.identifier)
         self._estimate: Estimate | None = None
-        self._meter = diagnostics.TickMeter(look_period(settings.update_rate))
+        period = 1.0 / (LOOKS_PER_TICK * settings.update_rate)
+        self._meter = diagnostics.TickMeter(period)
         self._memory = Memory(self.identifier, self.get_fully_qualified_name(), self.get_logger())
         self._memory.start()
         self._offer(Trigger, "reset", self._reset)
         self._offer(Trigger, "save", lambda _: self._memory.save(self._estimate))
         self._offer(SetBool, "adapt", self._adapt)
         self._offer(SetBool, "excite", lambda request: self._excite.request(request.data))
-        self._watch_time(settings)
+        self._watch_time(period, Duration(seconds=settings.time_jump))
 
     # -- wiring ----------------------------------------------------------------------------
 
@@ -100,14 +95,13 @@ class IdentifierNode(Node):
         answer.__name__ = name  # as an internal error names it
         self.create_service(kind, f"~/{name}", self._guard(answer, failed))
 
-    def _watch_time(self, settings: Settings) -> None:
+    def _watch_time(self, period: float, jump: Duration) -> None:
         """Ticks on the node's clock; diagnostics on one that never stops; jumps of /clock."""
         tick = self._guard(self._on_timer, self._recover)
-        self.create_timer(look_period(settings.update_rate), tick)
+        self.create_timer(period, tick)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         diagnose = self._guard(self._on_diagnostics)
         self.create_timer(DIAGNOSTICS_PERIOD, diagnose, clock=self._steady)
-        jump = Duration(seconds=settings.time_jump)
         # Keep the handle: the callback goes with it.
         self._jump_handle = self.get_clock().create_jump_callback(
             JumpThreshold(
@@ -187,9 +181,9 @@ class IdentifierNode(Node):
         line = f"{state}: {reason}" if reason else state
         before, self._logged = self._logged, without_numbers(line)
         if self._logged != before:
-            self._log(diagnostics.level_of(state), line)
+            self._log(diagnostics.LEVELS[state], line)
         status = DiagnosticStatus(
-            level=diagnostics.level_of(state),
+            level=diagnostics.LEVELS[state],
             name=self.get_fully_qualified_name(),
             message=line,
             values=[KeyValue(key=label, value=value) for label, value in self._values()],

@@ -13,7 +13,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParam
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from uav_ident_ros.files.parameter_file import IGNORED
+from uav_ident_ros.files.parameter_file import IGNORED, QOS_PREFIX
 from uav_ident_ros.identification.settings import (
     Setting,
     Settings,
@@ -59,7 +59,7 @@ def settings_of(node: Node, topics: Sequence[str]) -> Settings:
     for name, parameter in node._parameter_overrides.items():
         if name in overridable:
             overridable[name].check(parameter.value)
-        elif name.startswith("qos_overrides."):
+        elif name.startswith(QOS_PREFIX):
             hint = nearest(name, overridable) or f"there are {', '.join(overridable)}"
             raise SettingsError(f"there is no parameter '{name}': {hint}")
         elif name not in IGNORED:
@@ -70,7 +70,7 @@ def settings_of(node: Node, topics: Sequence[str]) -> Settings:
 def _qos_settings(topics: Sequence[str]) -> dict[str, Setting]:
     """Return what of the QoS of these subscriptions may be overridden, by the parameter's name."""
     names = {
-        f"qos_overrides.{topic}.subscription.{policy}": allowed
+        f"{QOS_PREFIX}{topic}.subscription.{policy}": allowed
         for topic in topics
         for policy, allowed in QOS_POLICIES.items()
     }

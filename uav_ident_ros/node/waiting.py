@@ -69,7 +69,7 @@ def _instead(node: Node, wanted: Input) -> str:
     for kinds in ((own,), stream.types):
         fitting = {t: kind for t, types in found.items() for kind in types if kind in kinds}
         if fitting:
-            best = max(sorted(fitting), key=lambda name: _likeness(name, wanted.topic))
+            (best,) = difflib.get_close_matches(wanted.topic, fitting, n=1, cutoff=0.0)
             kind = fitting[best]
             typed = "" if kind == own else f" -p {stream.setting}:={kind}"
             return f"'{best}' carries {kind}: start with -r {stream.topic}:={best}{typed}"
@@ -86,10 +86,6 @@ def _published(node: Node) -> dict[str, list[str]]:
         for name, types in topics.items()
         if name.rpartition("/")[0] not in own and node.count_publishers(name)
     }
-
-
-def _likeness(name: str, other: str) -> float:
-    return difflib.SequenceMatcher(a=other, b=name).ratio()
 
 
 def _owner(end: TopicEndpointInfo) -> str:
