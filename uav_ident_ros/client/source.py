@@ -44,10 +44,7 @@ MAX_AGE = 0.5
 class Fallback(Enum):
     """What to act on while the newest coefficients must not be used.
 
-    After a surface has lost its effect the verdict falls until its derivative is learned anew, and
-    then the last good set is the one from before the fault. Its derivative is too large, so that
-    too little deflection is asked for: a loop with integral action is slow with it, but stable.
-    The nominal set knows no more of the fault; it serves who distrusts what was learned.
+    See "After a fault" in docs/controllers.md.
     """
 
     REFUSE = "refuse"
@@ -70,9 +67,7 @@ class CoefficientSource:
         The author's own set: for `Fallback.NOMINAL`, and under `Fallback.LAST_GOOD` what is
         good before anything was identified.
     use_verdict : bool
-        Whether ``verdict/usable`` must be 1. It judges by the predictions of the last 30 s, and
-        after a fault it lags behind the coefficients: a loop that tolerates some error may
-        rather keep to the newest ones, each as far as its own sigma allows.
+        Whether ``verdict/usable`` must be 1. After a fault it lags behind the coefficients.
     max_age : float
         Age at which coefficients are stale, s of message time.
     delay : float
