@@ -195,8 +195,8 @@ def test_missing_foreign_and_damaged_files(tmp_path: Path) -> None:
         ("nowhere", "'.*nowhere' does not exist"),
         ("empty", r"has no \.mcap or \.db3 or \.bag file, and there is no metadata\.yaml"),
         ("notes.txt", "is no bag: an .mcap file, a rosbag2 folder or a .bag of ROS 1"),
-        ("text.mcap", "'text.mcap' is no MCAP file"),
-        ("nothing.mcap", "'nothing.mcap' is empty"),
+        ("text.mcap", "'text.mcap': .*: it is no MCAP file"),
+        ("nothing.mcap", "'nothing.mcap' seems to be empty"),
         ("lost", "files are missing"),
         *((f"{name}.bag", f"'.*{name}.bag' cannot be read") for name in ("cut", "none", "no")),
     ):

@@ -166,7 +166,7 @@ def test_one_bad_file_of_a_split_recording(tmp_path: Path) -> None:
     whole = split(tmp_path / "split", 3, 700)
     (tmp_path / "split" / "split_1.mcap").write_bytes(b"\0" * 5000)
     found, (line,) = messages(tmp_path / "split")
-    assert "'split_1.mcap' is no MCAP file" in line
+    assert "'split_1.mcap': " in line and "it is no MCAP file" in line
     assert found == [*whole[:700], *whole[1400:]]
 
 

@@ -23,8 +23,6 @@ from uav_ident_ros.messages.types import listed
 
 METADATA_FILE, SUFFIX_OF_ROS_1 = "metadata.yaml", ".bag"
 STORAGE_SUFFIXES = (".mcap", ".db3", SUFFIX_OF_ROS_1)
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-"""First bytes of every MCAP file."""
 
 PARSERS: dict[MessageDefinitionFormat, Callable[[str, str], dict[str, Any]]] = {
     MessageDefinitionFormat.MSG: get_types_from_msg,
@@ -298,21 +296,19 @@ def _open(storage: Path) -> Reader | ReaderOfRos1:
 
 def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
     """Open one file of a bag, or what is left of it."""
-    reason = _foreign(file)
-    if not reason:
+    try:
+        return _open(file)
+    except Exception as error:  # as above
+        reason = _reason(error, file.parent)
+    if file.suffix == ".mcap":
         try:
-            return _open(file)
+            saved = SalvageReader(file)
+            damage.append(saved.damage or f"'{file.name}': {reason}, yet all of it was read")
+            return saved
         except Exception as error:  # as above
-            reason = _reason(error, file.parent)
-        if file.suffix == ".mcap":
-            try:
-                saved = SalvageReader(file)
-                damage.append(saved.damage or f"'{file.name}': {reason}, yet all of it was read")
-                return saved
-            except Exception as error:  # as above
-                reason = f"'{file.name}': {reason}; {_reason(error)}"
-        if file.suffix == ".db3":
-            reason = f"{reason} (the tool sqlite3 may save what is there, by '.recover')"
+            reason = f"'{file.name}': {reason}; {_reason(error)}"
+    if file.suffix == ".db3":
+        reason = f"{reason} (the tool sqlite3 may save what is there, by '.recover')"
     raise BagError(f"bag '{bag}' cannot be read: {reason}")
 
 
@@ -323,17 +319,6 @@ def _files_of(reader: AnyReader) -> list[Path]:
     storages = getattr(reader.storage, "storages", [reader.storage])
     paths = [Path(str(storage.path)) for storage in storages]
     return paths if all(path.suffix == ".mcap" for path in paths) else []
-
-
-def _foreign(file: Path) -> str:
-    """Say that a file is empty or no MCAP file; empty if it is one."""
-    if file.suffix != ".mcap":
-        return ""
-    with file.open("rb") as content:
-        start = content.read(len(MCAP_MAGIC))
-    if start == MCAP_MAGIC:
-        return ""
-    return f"'{file.name}' is {'no MCAP file' if start else 'empty'}"
 
 
 def _reason(error: Exception, folder: Path | None = None) -> str:

@@ -81,7 +81,9 @@ class SalvageReader:
             words = self._scan(file)
         saved = sum(n for channel, n in self._counts.items() if channel in self._channels)
         if not saved:
-            raise SalvageError("there is no message to be saved")
+            raise SalvageError(
+                "there is no message to be saved: it is no MCAP file, or nothing is left of it"
+            )
         # Its topics
         self.connections = [self._connection(c) for _, c in sorted(self._channels.items())]
         # What is lost, in a line; empty if the file is whole
