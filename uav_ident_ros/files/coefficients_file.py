@@ -207,8 +207,6 @@ def _text_of(path: Path) -> str:
 
 def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
     """Check the entries that every file has."""
-    if content is None:
-        raise EntryError("it is empty")
     top = mapping(content, "the file", _TOP_KEYS, _NOTE_KEYS)
     name = top["structure"]
     if top["format"] != FORMAT:

@@ -347,11 +347,9 @@ def import_type(name: str) -> Any:
     MessageTypeError
         If the package is not installed or has no such type.
     """
+    package, kind, type_name = name.split("/")
     try:
-        package, kind, type_name = name.split("/")
         return getattr(importlib.import_module(f"{package}.{kind}"), type_name)
-    except ValueError:
-        raise MessageTypeError(f"'{name}' is not of the form package/msg/Type") from None
     except ImportError:
         raise MessageTypeError(
             f"message type '{name}' is not installed: install the ROS package '{package}' and "
