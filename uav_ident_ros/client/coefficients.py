@@ -171,6 +171,5 @@ def _flow(value: dict[str, float], sigma: dict[str, float]) -> FlowState:
 
 def _matrix(structure: Structure, entries: dict[str, float]) -> FloatArray:
     out = np.zeros(structure.mask.shape)
-    for name, index in zip(structure.names, structure.free, strict=True):
-        out[index] = entries[name]
+    out[structure.mask] = [entries[name] for name in structure.names]
     return out

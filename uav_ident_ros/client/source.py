@@ -173,8 +173,8 @@ class CoefficientSource:
 
 def _names(coefficients: Coefficients, which: BoolArray) -> tuple[str, ...]:
     structure = coefficients.structure
-    pairs = zip(structure.names, structure.free, strict=True)
-    return tuple(name for name, index in pairs if which[index])
+    pairs = zip(structure.names, which[structure.mask], strict=True)
+    return tuple(name for name, chosen in pairs if chosen)
 
 
 def _model(
