@@ -497,12 +497,12 @@ def test_a_message_of_unknown_names_is_no_excitation(tmp_path: Path) -> None:
     assert refusals.dropped == {"wrong channels": refusals.received} and refusals.received > 50
 
 
-@pytest.mark.parametrize("package", ["rosbags", "mcap"])
+@pytest.mark.parametrize("package", ["rosbags", "mcap", "pyarrow"])
 def test_the_error_names_the_package_that_is_missing(package: str) -> None:
     """As on a machine that has the package from apt alone."""
     code = (
         f"import sys; sys.modules['{package}'] = None\n"
-        "from uav_ident_ros.offline import main; sys.exit(main(['bag']))"
+        "from uav_ident_ros.offline import main; sys.exit(main(['bag', 'bag']))"
     )
     run = python("-c", code)
     assert run.returncode == 2

@@ -117,7 +117,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         scatter=identifier.estimator.sigma.copy(),
         setup=tuple(identifier.setup_doubts),
         answers=identifier.estimator.answers.copy(),
-        streams={name: run.refusals(name) for name in identifier.intake.drops},
+        streams={name: run.refusals(name) for name in run.inputs.streams},
     )
 
 

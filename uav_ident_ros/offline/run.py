@@ -218,9 +218,7 @@ class OfflineRun:
         return (str(rates.reader.fault) if rates.received else "") or self.identifier.intake.fault
 
     def refusals(self, stream: str) -> Refusals:
-        """Count what became of the messages of a stream, ``rates`` or ``actuators`` for two."""
-        if stream not in self._feeds:
-            return Refusals(0, {})
+        """Count what became of the messages of a stream that is read."""
         feed = self._feeds[stream]
         return Refusals(feed.received, dict(sorted(feed.drops().items())))
 
