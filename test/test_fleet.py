@@ -130,7 +130,7 @@ def test_student_deviates_are_as_rare_as_normal_ones() -> None:
 
 
 def test_aircraft_and_structures_are_kept_apart() -> None:
-    rows = synthetic(1, flights=14)
+    rows = [replace(r, flight=r.flight.replace("01", "99")) for r in synthetic(1, flights=14)]
     other = [replace(row, aircraft="b", structure="augmented") for row in synthetic(2, flights=14)]
     mixed = [replace(row, aircraft="b") for row in synthetic(3, flights=14)]
     mixed = [replace(row, flight=f"old_{row.flight}") for row in mixed]
@@ -139,6 +139,7 @@ def test_aircraft_and_structures_are_kept_apart() -> None:
     assert [(a.name, a.structure, len(a.flights)) for a in fleet] == [
         ("aircraft", "baseline", 14), ("b", "augmented", 14), ("b", "baseline", 14)
     ]  # fmt: skip
+    assert fleet[0].flights[0] == "flight_99"  # by their times, not by their names
     assert fleet[1].unusable == (("broken", "no result: no bag"),)
     (alone,) = fleet_of([failed])
     assert alone.pooled == {}
