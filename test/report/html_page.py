@@ -51,6 +51,13 @@ def words(element: ET.Element) -> str:
     return "".join(element.itertext())
 
 
-def rows_of(table: ET.Element) -> list[list[ET.Element]]:
-    """Cells of every row of a table's body."""
-    return [[*row.iter("th"), *row.iter("td")] for row in one(table, "tbody").iter("tr")]
+def table(page: ET.Element, caption: str) -> ET.Element:
+    """The table whose caption begins so."""
+    (found,) = [t for t in page.iter("table") if words(one(t, "caption")).startswith(caption)]
+    return found
+
+
+def rows_of(page: ET.Element, caption: str) -> dict[str, list[ET.Element]]:
+    """Cells of the rows of a table, by their headings."""
+    rows = one(table(page, caption), "tbody").iter("tr")
+    return {words(one(row, "th")): [*row.iter("td")] for row in rows}

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from excerpts import BAGS, excerpt, replay
 from excerpts import summary as summary_of
-from html_page import one, parse, rows_of, words
+from html_page import one, parse, rows_of, table, words
 
 import uav_ident_ros
 from uav_ident_ros.files.meanings import MEANINGS
@@ -63,11 +63,6 @@ def exact(cell: ET.Element) -> float | None:
     return float(found[0].attrib["value"]) if found else None
 
 
-def table(page: ET.Element, caption: str) -> ET.Element:
-    (found,) = [t for t in page.iter("table") if words(one(t, "caption")).startswith(caption)]
-    return found
-
-
 # --- what is there ---------------------------------------------------------------------------
 
 
@@ -75,7 +70,7 @@ def test_every_section_and_chart_is_there_and_linked(page: ET.Element) -> None:
     assert [section.attrib["id"] for section in page.iter("section")] == SECTIONS
     assert charts(page) == CHARTS
     coefficients = [n.attrib["id"] for n in one(page, "section[@id='coefficients']").iter("figure")]
-    assert len(coefficients) == len(rows_of(table(page, "Coefficients, SI")))
+    assert len(coefficients) == len(rows_of(page, "Coefficients, SI"))
     assert [a.attrib["href"] for a in one(page, "nav").iter("a")] == [f"#{s}" for s in SECTIONS]
     assert words(one(page, "h1")) == "c172p"
     drawn = "".join(words(script) for script in page.iter("script"))
@@ -101,15 +96,15 @@ def test_charts_and_tables_are_labelled_for_screen_readers(page: ET.Element) -> 
 
 
 def test_coefficients_are_those_of_the_summary(page: ET.Element, summary: dict[str, Any]) -> None:
-    rows = rows_of(table(page, "Coefficients, SI"))
-    assert [words(row[0]) for row in rows] == list(summary["coefficients"])
-    for name, value, _true, sigma, ratio, meaning in rows:
-        entry = summary["coefficients"][words(name)]
+    rows = rows_of(page, "Coefficients, SI")
+    assert list(rows) == list(summary["coefficients"])
+    for name, (value, _true, sigma, ratio, meaning) in rows.items():
+        entry = summary["coefficients"][name]
         assert exact(value) == entry["value"]
         assert exact(sigma) == entry["sigma"]
         assert exact(ratio) == pytest.approx(abs(entry["value"]) / entry["sigma"])
         assert float(words(value).replace("−", "-")) == pytest.approx(entry["value"], rel=1e-3)
-        assert words(meaning) == MEANINGS[words(name)]
+        assert words(meaning) == MEANINGS[name]
 
 
 def test_what_is_fixed_or_unknown_has_no_t_ratio() -> None:
@@ -128,20 +123,17 @@ def test_what_is_fixed_or_unknown_has_no_t_ratio() -> None:
 
 
 def test_shares_of_the_flight_make_a_whole(page: ET.Element) -> None:
-    rows = rows_of(table(page, "Where the flight went"))
-    assert words(rows[-1][0]) == "learned"
-    assert exact(rows[-1][1]) > 90.0
-    assert sum(exact(row[1]) for row in rows) == pytest.approx(100.0)
+    shares = {k: exact(cell) for k, (cell,) in rows_of(page, "Where the flight went").items()}
+    assert list(shares)[-1] == "learned"
+    assert shares["learned"] > 90.0
+    assert sum(shares.values()) == pytest.approx(100.0)
 
 
 def test_coefficients_that_go_together_are_shown(page: ET.Element) -> None:
-    rows = {
-        words(row[0]): row[1:]
-        for row in rows_of(table(page, "Correlation of the coefficients of q"))
-    }
+    rows = rows_of(page, "Correlation of the coefficients of q")
     # pitch damping and elevator power are separated by one flight, not each by its own
     assert 0.3 < abs(exact(rows["de"][3])) <= 1.0
-    inputs = {words(row[0]): row[1:] for row in rows_of(table(page, "Correlation with the inputs"))}
+    inputs = rows_of(page, "Correlation with the inputs")
     assert [exact(inputs[name][k]) for k, name in enumerate(INPUTS[:3])] == pytest.approx([1.0] * 3)
 
 
@@ -151,10 +143,9 @@ def test_coefficients_that_go_together_are_shown(page: ET.Element) -> None:
 def test_fits_are_those_of_the_summary(
     page: ET.Element, summary: dict[str, Any], caption: str, windows: str
 ) -> None:
-    found = table(page, caption)
     fit = summary["prediction_fit"][windows]
-    assert f"{fit['windows']} windows" in words(one(found, "caption"))
-    rows = {words(row[0]): [exact(cell) for cell in row[1:]] for row in rows_of(found)}
+    assert f"{fit['windows']} windows" in words(one(table(page, caption), "caption"))
+    rows = {name: [*map(exact, cells)] for name, cells in rows_of(page, caption).items()}
     for ahead, free in fit["free"].items():
         assert rows[f"free prediction, {ahead}"] == list(free["model"].values())
         assert rows[f"holding the rates for {ahead}"] == list(free["hold"].values())
@@ -188,23 +179,22 @@ def test_verdict_and_advice_are_those_of_the_summary(
 def test_messages_and_settings_are_those_of_the_summary(
     page: ET.Element, summary: dict[str, Any]
 ) -> None:
-    for row in rows_of(table(page, "Messages")):
-        entry = summary["inputs"][words(row[0])]
-        assert [words(cell) for cell in row[1:3]] == [entry["topic"], entry["type"]]
-        assert exact(row[3]) == entry["received"]
-    changed = rows_of(table(page, "Settings that differ"))
-    kept = rows_of(table(page, "Settings at"))
+    for stream, (topic, msgtype, received, _dropped) in rows_of(page, "Messages").items():
+        entry = summary["inputs"][stream]
+        assert [words(topic), words(msgtype)] == [entry["topic"], entry["type"]]
+        assert exact(received) == entry["received"]
+    changed, kept = rows_of(page, "Settings that differ"), rows_of(page, "Settings at")
     given = yaml.safe_load((BAGS / "c172p" / "identifier.yaml").read_text())
-    assert {words(row[0]) for row in changed} <= set(given["/**"]["ros__parameters"])
-    assert sorted(words(row[0]) for row in changed + kept) == sorted(s.name for s in declarations())
+    assert changed.keys() <= given["/**"]["ros__parameters"].keys()
+    assert sorted([*changed, *kept]) == sorted(s.name for s in declarations())
 
 
 def test_origin_names_the_bag_by_its_hash(page: ET.Element) -> None:
-    ((name, size, digest),) = rows_of(table(page, "Bag"))
     content = (BAGS / "c172p" / "c172p.mcap").read_bytes()
-    assert (words(name), words(size)) == ("c172p.mcap", str(len(content)))
-    assert words(digest) == hashlib.sha256(content).hexdigest()
-    versions = {words(row[0]): words(row[1]) for row in rows_of(table(page, "Software"))}
+    files = {name: [*map(words, cells)] for name, cells in rows_of(page, "Bag").items()}
+    digest = hashlib.sha256(content).hexdigest()
+    assert files == {"c172p.mcap": [str(len(content)), digest]}
+    versions = {name: words(cell) for name, (cell,) in rows_of(page, "Software").items()}
     assert versions["uav_ident_ros"] == uav_ident_ros.__version__
     assert versions["numpy"] == np.__version__
 
@@ -242,7 +232,8 @@ def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: 
     assert words(one(verdict, "p[@class='first']")).startswith("First: The aircraft hardly flew")
     assert [a["name"] for a in summary_of(output)["advice"]] == ["never_flew", "short_flight"]
     assert words(one(verdict, "ol")).strip().startswith("The flight is short, 2 s")
-    assert all(exact(cell) is None for cell in rows_of(table(page, "After 30 s"))[0][1:])
+    fits, *_ = rows_of(page, "After 30 s").values()
+    assert [*map(exact, fits)] == [None] * 3
     shown = charts(page)
     assert "rates-p" in shown
     assert not {"spectra-rates", "whiteness", "delay-curve"} & set(shown)
