@@ -7,8 +7,8 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from programs import PATIENCE, Capture, StartNode, Terminal, handled, python, refusal, wait_for
@@ -25,7 +25,9 @@ WITHOUT_RICH = (
     "from uav_ident_ros.monitor.cli import main; sys.exit(main())"
 )
 
-SILENT = re.compile(r"/identifier  waiting  not usable  last tick [\d.]+ s, none since$")
+SILENT = re.compile(
+    r"^/identifier  waiting  not usable  last tick [\d.]+ s, none since$", re.MULTILINE
+)
 """How the view begins when the flight is over."""
 
 StartMonitor = Callable[..., subprocess.Popen[str]]
@@ -37,14 +39,14 @@ class EnoughError(Exception):
 
 @pytest.fixture
 def start_monitor() -> Iterator[StartMonitor]:
-    """Start the monitor with its output in pipes; it is ended after the test."""
+    """Start the monitor with its output in pipes, or in a file; it is ended after the test."""
     started: list[subprocess.Popen[str]] = []
 
-    def start(*arguments: str) -> subprocess.Popen[str]:
+    def start(*arguments: str, output: Path | None = None) -> subprocess.Popen[str]:
         process = subprocess.Popen(
             [*MONITOR, *arguments],
             cwd=ROOT,
-            stdout=subprocess.PIPE,
+            stdout=output.open("w") if output else subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, "COLUMNS": "80", "PYTHONIOENCODING": "utf-8"},
@@ -60,7 +62,7 @@ def start_monitor() -> Iterator[StartMonitor]:
 
 
 def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
-    fly: Fly, start_monitor: StartMonitor
+    fly: Fly, start_monitor: StartMonitor, tmp_path: Path
 ) -> None:
     flight = recording("multisine", 75.0)
     _, player = fly(flight, sim_time=True, parameters={"supervision.min_fit": "99.5"})
@@ -110,45 +112,26 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
     assert float(row[1]) == pytest.approx(newest.effort[da], rel=0.3)
     assert re.search(r"rates +/imu/data +\d+\.\d Hz +age \d", shown)
 
-    monitor = start_monitor("--node", "identifier/")
-    ticks: list[float] = []
-    lines: list[str] = []
+    output = tmp_path / "shown"
+    monitor = start_monitor("--node", "identifier/", output=output)
 
-    def read() -> None:
-        for line in monitor.stdout or ():
-            lines.append(line)
-            ticks.extend(float(t) for t in re.findall(r"  tick ([\d.]+) s$", line))
-            if SILENT.match(line):  # what was usable is so no more
-                monitor.send_signal(signal.SIGTERM)
-                break
+    def ticks() -> list[float]:
+        found = re.findall(r"  tick ([\d.]+) s$", output.read_text(), re.MULTILINE)
+        return [float(t) for t in found]
 
-    reader = threading.Thread(target=read)
-    reader.start()
-    play_until(lambda: len(ticks) >= 3)
-    reader.join(PATIENCE)
-    assert not reader.is_alive(), "".join(lines[-80:])
+    play_until(lambda: len(ticks()) >= 3)
+    # what was usable is so no more
+    assert wait_for(lambda: bool(SILENT.search(output.read_text()))), output.read_text()[-2000:]
+    monitor.send_signal(signal.SIGTERM)
     assert monitor.wait(PATIENCE) == 0
-    assert monitor.stderr is not None
     assert "Traceback" not in monitor.stderr.read()
-    assert ticks == sorted(ticks)
+    assert ticks() == sorted(ticks())
 
     silent = start_monitor("--once", "--timeout", "20")
     shown, errors = silent.communicate(timeout=PATIENCE)
     assert silent.returncode == 1, shown + errors
     assert "waiting" in shown
     assert "none since" in shown
-
-
-def shown_until(monitor: subprocess.Popen[str], words: str) -> str:
-    """What it has shown when it shows the words; one that never does is ended."""
-    assert monitor.stdout is not None
-    guard = threading.Timer(PATIENCE, monitor.kill)
-    guard.start()
-    shown = ""
-    while words not in shown and (line := monitor.stdout.readline()):
-        shown += line
-    guard.cancel()
-    return shown
 
 
 def test_once_without_a_node_or_messages_ends_with_an_error(start_monitor: StartMonitor) -> None:
@@ -170,7 +153,7 @@ def test_once_that_is_interrupted_does_not_say_usable(start_monitor: StartMonito
 
 
 def test_several_identifiers_are_listed_and_one_is_chosen(
-    start_node: StartNode, start_monitor: StartMonitor
+    start_node: StartNode, start_monitor: StartMonitor, tmp_path: Path
 ) -> None:
     nodes = [start_node(namespace=f"/{name}") for name in ("one", "two")]
     assert all(wait_for(lambda node=node: "no message on" in node.log) for node in nodes)
@@ -183,10 +166,10 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
         "  /one/identifier",
         "  /two/identifier",
     ]
-    shown = shown_until(
-        start_monitor("--node", "/two/identifier"), "no message on '/two/imu/data' yet"
-    )
-    assert "/two/identifier  waiting  not usable  no tick yet" in shown
+    output = tmp_path / "shown"
+    start_monitor("--node", "/two/identifier", output=output)
+    assert wait_for(lambda: "no message on '/two/imu/data' yet" in output.read_text())
+    assert "/two/identifier  waiting  not usable  no tick yet" in output.read_text()
 
 
 def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
@@ -209,10 +192,9 @@ def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
     assert max(len(line) for line in drawn.splitlines()) <= 80
 
     monitor = start_monitor("--plain", "--node", "/identifier")
-    assert shown_until(monitor, "identifier").startswith("/identifier")
+    assert monitor.stdout.readline().startswith("/identifier")
     monitor.stdout.close()  # a reader that goes away is no error
     assert monitor.wait(PATIENCE) == 0
-    assert monitor.stderr is not None
     assert monitor.stderr.read() == ""
     monitor.stdout = None
 
