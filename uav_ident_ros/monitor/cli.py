@@ -69,13 +69,7 @@ def find(
     guest: Guest,
     timeout: float,  # Seconds to look at most
 ) -> str:
-    """Return the full name of the only identifier; empty if none turns up.
-
-    Raises
-    ------
-    MonitorError
-        If there are several.
-    """
+    """Return the full name of the only identifier, empty if none; raises `MonitorError`."""
     if not guest.spin_for(timeout, lambda: bool(identifiers(guest))):
         return ""
     guest.spin_for(SETTLE)

@@ -68,13 +68,7 @@ def names_of(bags: Sequence[Path]) -> list[str]:
 
 
 def bag_files(bag: Path) -> list[tuple[str, int, str]]:
-    """Return name, size in bytes and SHA-256 of every file with messages of a bag.
-
-    Raises
-    ------
-    BagError
-        If a file cannot be read.
-    """
+    """Return name, size and SHA-256 of every file with messages of a bag; raises `BagError`."""
     return [name_size_hash(file) for file in (storage_files(bag) if bag.is_dir() else [bag])]
 
 

@@ -99,13 +99,7 @@ def rows_of(outcome: Outcome) -> Iterator[FlightRow]:
 
 
 def write_flights(folder: Path, rows: Sequence[FlightRow]) -> list[Path]:
-    """Write the table as CSV and as Parquet; return the files.
-
-    Raises
-    ------
-    BagWriteError
-        If it cannot be written.
-    """
+    """Write the table as CSV and as Parquet; return the files; raises `BagWriteError`."""
     pa, schema = arrow()
     table = pa.Table.from_pylist([asdict(row) for row in rows], schema)
     files = {folder / CSV_FILE: pa.csv.write_csv, folder / PARQUET_FILE: pa.parquet.write_table}
@@ -116,13 +110,7 @@ def write_flights(folder: Path, rows: Sequence[FlightRow]) -> list[Path]:
 
 
 def read_flights(path: Path) -> list[FlightRow]:
-    """Read a table of flights: CSV or Parquet, or the folder of one.
-
-    Raises
-    ------
-    BagError
-        If it cannot be read or is no such table.
-    """
+    """Read a table of flights, CSV or Parquet, or the folder of one; raises `BagError`."""
     pa, schema = arrow()
     path = path / CSV_FILE if path.is_dir() else path
     if not path.exists():

@@ -69,13 +69,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def write_fleet(folder: Path, fleet: Sequence[Aircraft]) -> list[Path]:
-    """Write the page and the pooled coefficients; return the files.
-
-    Raises
-    ------
-    BagError, BagWriteError, CoefficientsFileError
-        If a package is missing, or something cannot be written.
-    """
+    """Write the page and the pooled coefficients; return the files."""
     files = [folder / "fleet.html"]
     optional("uav_ident_ros.report.fleet_page").write_fleet_page(files[0], fleet)
     several = {a.name for a in fleet if sum(b.name == a.name for b in fleet) > 1}

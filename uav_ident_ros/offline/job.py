@@ -46,13 +46,7 @@ class Bar(tqdm):
 
 
 def optional(module: str) -> Any:
-    """Return a module that not every machine has, or that needs such a one.
-
-    Raises
-    ------
-    BagError
-        If a package is missing.
-    """
+    """Return a module; raises `BagError` if it needs a package that is missing."""
     try:
         return import_module(module)
     except ModuleNotFoundError as error:

@@ -41,13 +41,7 @@ def replay_all(
     # Address of a Dask scheduler whose workers do the jobs instead; they need the same paths
     scheduler: str = "",
 ) -> list[Outcome]:
-    """Do jobs in parallel; the outcomes are in the order of the jobs.
-
-    Raises
-    ------
-    BagError
-        If the scheduler does not answer, or Dask is missing.
-    """
+    """Do jobs in parallel, outcomes in their order; raises `BagError` if no scheduler answers."""
     outcomes: dict[Path, Outcome] = {}
     with Bar(total=len(jobs), unit=" replays") as shown:
         for job, outcome in _there(jobs, scheduler) if scheduler else _here(jobs, workers):
@@ -153,13 +147,7 @@ def _recalled(job: Job, identity: str) -> Outcome | None:
 
 
 def identity_of(job: Job) -> str:
-    """Return the hashes of a job's bag and settings, ``BAG:SETTINGS``.
-
-    Raises
-    ------
-    BagError, ParameterFileError
-        If the bag or a parameter file cannot be read.
-    """
+    """Return the hashes of a job's bag and settings, ``BAG:SETTINGS``; raises `REFUSALS`."""
     values = job.parameters()
     initial = values.get("initial_coefficients_file")
     settings = {

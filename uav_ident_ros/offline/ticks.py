@@ -89,13 +89,7 @@ def write_estimates(
     node: str,  # Full name of the node whose topics these are
     frame_id: str,  # Frame of the predicted rates: that of the Imu
 ) -> None:
-    """Write a bag of estimates; one that was written here before is replaced.
-
-    Raises
-    ------
-    BagWriteError
-        If `path` is something other than a bag, or cannot be written.
-    """
+    """Write a bag of estimates, in place of one alone; raises `BagWriteError`."""
     if path.exists() and not _is_bag(path):
         raise BagWriteError(f"'{path}' exists and is no bag: it is left alone")
     latched, reliable = qos(1, transient_local=True), qos(10)

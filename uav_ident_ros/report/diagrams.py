@@ -255,12 +255,7 @@ def delay_rise(
 ) -> tuple[FloatArray, FloatArray]:
     """Return by how many percent, root mean square, prediction errors are above the least.
 
-    Returns
-    -------
-    rows : (J, 3) array
-        Of each axis.
-    together : (J,) array
-        Of all axes, by their geometric mean: what the estimate of the delay goes by.
+    Of each axis, (J, 3), and of all by their geometric mean, (J,), as the delay is estimated.
     """
     root = np.sqrt(errors)
     mean = np.exp(np.log(root).mean(axis=1))

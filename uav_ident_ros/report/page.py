@@ -167,15 +167,7 @@ _NAMES = re.compile(r'(?<=")p\d{4,}(?=")')
 
 
 def write_report(path: Path, replayed: Replayed) -> None:
-    """Write the report of a replay.
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read again, for its hash.
-    BagWriteError
-        If the file cannot be written.
-    """
+    """Write the report of a replay; raises `BagError`, of the hash, or `BagWriteError`."""
     summary, doubt = replayed.summary, replayed.doubt
     state = f" ({summary['reason']})" if summary["reason"] and not doubt else ""
     text = render(
