@@ -8,7 +8,7 @@ on 80 columns and 24 lines the moment equations are in sight.
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -53,7 +53,7 @@ class Glyphs:
     """Characters that the terminal can show."""
 
     trends: str = "→↗↘"  # By `Coefficient.trend`: level, up, down
-    sparks: str = "▁▂▃▄▅▆▇█"  # Levels of the line of past values, lowest first
+    sparks: str = "▁▂▃▄▅▆▇█"  # Levels of the line of past values, lowest first; none, no line
     verdicts: str = "✗✓"  # On a row: not usable, usable
     damping: str = "ζ"
     degrees: str = "°"
@@ -100,11 +100,12 @@ class View:
 def picture(watched: WatchedNode, console: Console) -> RenderableType:
     """Return everything worth seeing, to be printed on `console`."""
     glyphs = ASCII if console.options.ascii_only else Glyphs()
-    sparks = console.width >= AXES * (COLUMN_WIDTH + SPARKS + GAP) - GAP
-    width = COLUMN_WIDTH + SPARKS if sparks else COLUMN_WIDTH
+    width = COLUMN_WIDTH + SPARKS
+    if console.width < AXES * (width + GAP) - GAP:
+        width, glyphs = COLUMN_WIDTH, replace(glyphs, sparks="")
     rows = watched.rows()
     angles = [c for row in KINEMATIC_ROWS for c in rows.pop(row, ())]
-    parts = [_row(watched, row, found, glyphs, sparks) for row, found in rows.items()]
+    parts = [_row(watched, row, found, glyphs) for row, found in rows.items()]
     parts += [_kinematics(angles)] if angles else []
     count = max(1, min(AXES, (console.width + GAP) // (width + GAP)))
     table = Table.grid(padding=(0, GAP, 0, 0))
@@ -145,13 +146,7 @@ def _head(watched: WatchedNode) -> Iterator[Text]:
 # --- coefficients -----------------------------------------------------------------------------
 
 
-def _row(
-    watched: WatchedNode,
-    row: str,
-    coefficients: Sequence[Coefficient],
-    glyphs: Glyphs,
-    sparks: bool,
-) -> Text:
+def _row(watched: WatchedNode, row: str, found: Sequence[Coefficient], glyphs: Glyphs) -> Text:
     """Return a row of the model: its excitation, fit and coefficients."""
     lines = [Text(row, "bold")]
     if row in ROWS:
@@ -163,7 +158,7 @@ def _row(
     excitation = watched.number(f"excitation {row} [0..1]")
     if excitation is not None:
         lines[0].append(f"   excited {excitation:.2f}", "not bold dim")
-    lines += (_coefficient(c, glyphs, sparks) for c in coefficients)
+    lines += (_coefficient(c, glyphs) for c in found)
     return Text("\n").join(lines)
 
 
@@ -181,7 +176,7 @@ def _fit(fit: float | None, hold: float | None) -> Text:
     return Text.assemble((f"fit {fit:.0f} %", "green" if better else "yellow"), (held, "dim"))
 
 
-def _coefficient(coefficient: Coefficient, glyphs: Glyphs, sparks: bool) -> Text:
+def _coefficient(coefficient: Coefficient, glyphs: Glyphs) -> Text:
     """Return name, value, standard deviation, t-ratio and trend of a coefficient."""
     ratio, trend = coefficient.t_ratio, coefficient.trend
     style = "" if ratio is None or ratio >= WELL_KNOWN else "dim"
@@ -190,7 +185,7 @@ def _coefficient(coefficient: Coefficient, glyphs: Glyphs, sparks: bool) -> Text
     value, sigma = _value(coefficient.value), _sigma(coefficient.sigma)
     line = Text.assemble((f"{name:<5} {value:>7} {sigma:>5} {shown:>4}", style))
     if coefficient.sigma > 0.0:
-        past = f" {_spark_line(coefficient, glyphs.sparks)}" if sparks else ""
+        past = f" {_spark_line(coefficient, glyphs.sparks)}" if glyphs.sparks else ""
         line.append(f" {glyphs.trends[trend]}{past}", "cyan" if trend else "dim")
     return line
 

@@ -89,7 +89,7 @@ def write_estimates(
     node: str,  # Full name of the node whose topics these are
     frame_id: str,  # Frame of the predicted rates: that of the Imu
 ) -> None:
-    """Write a bag of estimates, in place of one alone; raises `BagWriteError`."""
+    """Write a bag of estimates; only a bag is replaced; raises `BagWriteError`."""
     if path.exists() and not _is_bag(path):
         raise BagWriteError(f"'{path}' exists and is no bag: it is left alone")
     latched, reliable = qos(1, transient_local=True), qos(10)
