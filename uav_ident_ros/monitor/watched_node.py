@@ -116,9 +116,8 @@ class WatchedNode:
         None before the first, and where the node does not publish it.
         """
         fit = None if self.newest is None else self.newest.fit
-        known = fit is not None and fit.any()
         hold = self.number(f"hold {'pqr'[row]} [%]")
-        return (float(fit[row]) if fit is not None and known else None), hold
+        return (float(fit[row]) if fit is not None and fit.any() else None), hold
 
     def rows(self) -> dict[str, list[Coefficient]]:
         """Coefficients by the rows of the model; the moment equations before any."""

@@ -56,8 +56,8 @@ class Stretch(Flown):
     era: int  # Restarts of the time base before it
     ticks: Ticks  # The estimates made with that delay
 
-    def pieces(self, horizon: float) -> Iterator[Stretch]:
-        """Yield it in parts of some ticks, with what is needed to predict them `horizon` s ahead.
+    def pieces(self, horizon: float) -> Iterator[tuple[Flown, Published]]:
+        """Yield some ticks at a time, with what is needed to predict from them `horizon` s ahead.
 
         On a grid of its own each piece takes some MB; that of an hour would take hundreds.
         """
@@ -69,7 +69,7 @@ class Stretch(Flown):
             end = np.searchsorted(self.t_ns, stamps[-1] + ahead_ns) + 1
             measured = slice(max(int(begin), 0), int(end))
             parts = {name: getattr(self, name)[measured] for name in ("t_ns", "rates", "force")}
-            yield replace(self, **parts, ticks=ticks)
+            yield replace(self, **parts), Published.of(ticks, ticks.structure)
 
 
 def time_bases(stretches: Iterable[Stretch]) -> list[Stretch]:
@@ -245,8 +245,7 @@ class OfflineRun:
         errors, ends = [], []
         for part in self.stretches():
             ends += [int(part.t_ns[0]), int(part.t_ns[-1])]
-            for piece in part.pieces(HORIZONS[-1]):
-                errors.append(window_errors(piece, Published.of(piece.ticks, self.structure)))
+            errors.extend(window_errors(*piece) for piece in part.pieces(HORIZONS[-1]))
         return score_windows(WindowErrors.join(errors), min(ends), max(ends))
 
     def eras(self) -> TimeArray:

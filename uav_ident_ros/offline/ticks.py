@@ -35,20 +35,20 @@ class Ticks(Sequence[Estimate]):
     """
 
     def __init__(self, structure: Structure, estimates: Iterable[Estimate] = ()) -> None:
-        self._structure = structure
+        self.structure = structure
         self._packed: list[Estimate] = []
         for estimate in estimates:
             self.append(estimate)
 
     def append(self, estimate: Estimate) -> None:
         """Add the next one."""
-        mask = self._structure.mask
+        mask = self.structure.mask
         free, sigma = estimate.coefficients[mask], estimate.sigma[mask]
         self._packed.append(replace(estimate, coefficients=free, sigma=sigma))
 
     def chosen(self, which: Iterable[int]) -> Ticks:
         """Return those at some places, in their order; they share the numbers."""
-        result = Ticks(self._structure)
+        result = Ticks(self.structure)
         result._packed = [self._packed[k] for k in which]
         return result
 
@@ -62,7 +62,7 @@ class Ticks(Sequence[Estimate]):
     def __getitem__(self, item: int | slice) -> Estimate | Ticks:
         if isinstance(item, slice):
             return self.chosen(range(len(self))[item])
-        packed, mask = self._packed[item], self._structure.mask
+        packed, mask = self._packed[item], self.structure.mask
         values, sigma = np.zeros(mask.shape), np.zeros(mask.shape)
         values[mask], sigma[mask] = packed.coefficients, packed.sigma
         return replace(packed, coefficients=values, sigma=sigma)
@@ -73,7 +73,7 @@ class Ticks(Sequence[Estimate]):
 
     def history(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """Return one coefficient and its standard deviation over the ticks, (K,) each."""
-        k = self._structure.free.index(index)
+        k = self.structure.free.index(index)
         found = [(packed.coefficients[k], packed.sigma[k]) for packed in self._packed]
         values, sigma = np.array(found).reshape(-1, 2).T
         return values, sigma

@@ -13,7 +13,6 @@ import numpy as np
 from uav_ident_ros.identification.prediction import (
     HORIZONS,
     InputSignal,
-    Published,
     predict_ahead,
 )
 from uav_ident_ros.identification.samples import NS, TimeArray
@@ -129,10 +128,8 @@ def predict(flight: Flight, horizon: float) -> Predictions:
     parts = []
     for part in flight.stretches:
         for piece in part.pieces(horizon):
-            published = Published.of(piece.ticks, flight.structure)
-            t_ns, predicted = predict_ahead(piece, published, horizon)
-            t = flight.seconds(part.era, t_ns)
-            parts.append((t, predicted))
+            t_ns, predicted = predict_ahead(*piece, horizon)
+            parts.append((flight.seconds(part.era, t_ns), predicted))
     t, predicted = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(t, kind="stable")
     t, predicted = t[order], predicted[order]
