@@ -242,10 +242,11 @@ class OfflineRun:
 
     def score(self) -> dict[str, PredictionFit]:
         """Return the score of record of the estimates."""
-        errors, ends = [], []
+        errors: list[WindowErrors] = []
+        ends: list[int] = []
         for part in self.stretches():
             ends += [int(part.t_ns[0]), int(part.t_ns[-1])]
-            errors.extend(window_errors(*piece) for piece in part.pieces(HORIZONS[-1]))
+            errors += [window_errors(*piece) for piece in part.pieces(HORIZONS[-1])]
         return score_windows(WindowErrors.join(errors), min(ends), max(ends))
 
     def eras(self) -> TimeArray:
