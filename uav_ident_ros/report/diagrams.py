@@ -243,33 +243,21 @@ def _span(values: FloatArray) -> tuple[float, float]:
     return low - room, high + room
 
 
-def separates_delays(errors: FloatArray) -> bool:
-    """Whether there is a curve to draw; `errors` as in `delay_rise`, or empty."""
-    if not len(errors) or not (errors > 0.0).all():
-        return False
-    return bool(delay_rise(errors)[0].max() > SMALLEST_RISE)
-
-
-def delay_rise(
-    errors: FloatArray,  # (J, 3) Squared prediction errors of p, q, r at J delays, positive
-) -> tuple[FloatArray, FloatArray]:
-    """Return by how many percent, root mean square, prediction errors are above the least.
-
-    Of each axis, (J, 3), and of all by their geometric mean, (J,), as the delay is estimated.
-    """
-    root = np.sqrt(errors)
-    mean = np.exp(np.log(root).mean(axis=1))
-    return 100.0 * (root / root.min(axis=0) - 1.0), 100.0 * (mean / mean.min() - 1.0)
-
-
 def delay_chart(
     delays: FloatArray,  # (J,) Delays tried, s
-    errors: FloatArray,  # (J, 3) Squared prediction errors of p, q, r with them, positive
+    errors: FloatArray,  # (J, 3) Squared prediction errors of p, q, r with them; or empty
     in_use: float,  # Delay that the identifier ended with, s
-) -> Chart:
-    """Return how well models with every delay of the inputs predict."""
-    rows, together = delay_rise(errors)
-    top = max(min(1.05 * float(rows.max()), LARGEST_RISE), SMALLEST_RISE)
+) -> Chart | None:
+    """Return how well models with every delay of the inputs predict; None if all do alike."""
+    if not len(errors) or not (errors > 0.0).all():
+        return None
+    root = np.sqrt(errors)
+    rows = 100.0 * (root / root.min(axis=0) - 1.0)
+    if rows.max() <= SMALLEST_RISE:
+        return None
+    mean = np.exp(np.log(root).mean(axis=1))  # the estimate of the delay goes by it
+    together = 100.0 * (mean / mean.min() - 1.0)
+    top = min(1.05 * float(rows.max()), LARGEST_RISE)
     unit = "prediction error above its least [%]"
     chart = plain_figure(230, "delay [ms]", unit, y_range=(0.0, top))
     lines = {**dict(zip(AXES, rows.T, strict=True)), "all": together}

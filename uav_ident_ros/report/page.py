@@ -127,11 +127,10 @@ _MODES_TEXT = (
 
 
 def _delay_section(bank: DelayBank, in_use: float) -> Section:
-    found, errors = bank.estimate, bank.errors
-    separated = diagrams.separates_delays(errors)
+    found, chart = bank.estimate, diagrams.delay_chart(bank.delays, bank.errors, in_use)
     text = "Too little excitation to separate delays."
     # What was injected may have told the lag, and since then no block was judged.
-    if separated or found.lag_sure:
+    if chart or found.lag_sure:
         text = (
             f"Best prediction at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "
             f"confidence {found.confidence}; in use at the end: {1e3 * in_use:.0f} ms."
@@ -142,8 +141,7 @@ def _delay_section(bank: DelayBank, in_use: float) -> Section:
             f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
             f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
         )
-    charts = [diagrams.delay_chart(bank.delays, errors, in_use)] if separated else []
-    return Section("delay", "Delay", [text], charts=charts)
+    return Section("delay", "Delay", [text], charts=[chart] if chart else [])
 
 
 PACKAGES = ("numpy", "rosbags", "bokeh")

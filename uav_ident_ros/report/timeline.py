@@ -52,12 +52,12 @@ def columns(values: Mapping[str, Any]) -> ColumnDataSource:
     )
 
 
-def value_range(*values: FloatArray, least: float = 0.0) -> Range1d:
-    """Return a range that holds the finite ones of some values and is never narrower."""
+def value_range(*values: FloatArray) -> Range1d:
+    """Return a range that holds the finite ones of some values."""
     every = np.concatenate([np.ravel(v) for v in values])
     every = every[np.isfinite(every)]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 0.0)
-    room = max(HEADROOM * (high - low), least, 1e-9)
+    room = max(HEADROOM * (high - low), 1e-9)
     return Range1d(low - room, high + room)
 
 
