@@ -96,20 +96,20 @@ def published(output: Path) -> dict[str, list[tuple[int, Any]]]:
 AIRSPEED = "/airspeed"
 
 
-def with_airspeed(msgtype: str, topic: str = AIRSPEED, every: int = 10) -> Any:
-    """A change of an excerpt: an airspeed beside some of the rates; every 50th is NaN."""
+def with_airspeed(msgtype: str) -> Any:
+    """A change of an excerpt: an airspeed beside every 10th of the rates; every 50th is NaN."""
     count = itertools.count()
 
     def change(name: str, log_ns: int, message: Any) -> list[Entry]:
         entries = [(name, log_ns, message)]
         k = next(count) if name == IMU else -1
-        if k < 0 or k % every:
+        if k < 0 or k % 10:
             return entries
-        speed = math.nan if k // every % 50 == 0 else 20.0 + 5.0 * math.sin(0.002 * k)
+        speed = math.nan if k % 500 == 0 else 20.0 + 5.0 * math.sin(0.002 * k)
         word = writing.plain(NUMBER, speed)
         if msgtype == TWIST:  # stamped 12 ms before it is recorded; the airspeed is its length
             word = writing.twist_stamped(log_ns - 12_000_000, (0.6 * speed, 0.0, -0.8 * speed))
-        return [*entries, (topic, log_ns, word)]
+        return [*entries, (AIRSPEED, log_ns, word)]
 
     return change
 

@@ -242,7 +242,7 @@ def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: 
 
 def test_a_servo_lag_is_told_before_a_block_was_judged_with_it() -> None:
     found = DelayEstimate(0.02, 0.005, 0.07, 0.005, 9.0, lag=0.05, lag_sigma=0.008)
-    for errors in (np.zeros((0, 3)), np.zeros((5, 3))):
+    for errors in (np.zeros((0, 3)), np.zeros((5, 3)), np.ones((5, 3))):  # none, none, all alike
         bank: Any = SimpleNamespace(estimate=found, delays=np.arange(len(errors)), errors=errors)
         section = _delay_section(bank, 0.02)
         assert "a lag of 50 ms, sigma 8 ms, after a delay of 20 ms" in section.texts[0]

@@ -34,7 +34,6 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
         usable=not findings,
         verdict=text,
         advice=findings,
-        notes=[],
     )
     write_file(path, page)
 
