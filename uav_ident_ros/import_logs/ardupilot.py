@@ -115,9 +115,8 @@ class _ArduPilot(Import):
                 pins += added
         functions = [int(log.parameter(f"SERVO{pin}_FUNCTION")) for pin in pins]
         used = [i for i, f in enumerate(functions) if f or np.any(widths.values[:, i] > 0)]
-        every = [functions[i] for i in used]
-        rotors = _rotors(log, every)
-        channels = [_channel(log, pins[i], functions[i], every, rotors) for i in used]
+        effects = _effects(log, [functions[i] for i in used])
+        channels = [_channel(log, pins[i], functions[i], effects) for i in used]
         log.findings.read.append(
             "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
         )
@@ -162,62 +161,60 @@ def _pin_fields(messages: Messages, first: int = 1) -> dict[int, str]:
     return {number: name for number, name in sorted(numbered.items()) if number >= first}
 
 
-def _channel(
-    log: Log,
-    pin: int,
-    function: int,
-    every: list[int],  # Functions of all pins
-    rotors: dict[int, Effect],  # Effects of the motors by their functions
-) -> Channel:
-    """Return what a pin is, by its function and those of every pin."""
+def _channel(log: Log, pin: int, function: int, effects: Mapping[int, Effect]) -> Channel:
+    """Return what a pin is, by its function."""
     prefix, meaning = f"SERVO{pin}_", f"SERVO{pin}_FUNCTION {function}"
     if function not in NAMES:
         return Channel(f"output_{pin}", NO_EFFECT, meaning, unit="us")
     low, high = log.parameter(f"{prefix}MIN", PWM_MIN), log.parameter(f"{prefix}MAX", PWM_MAX)
-    name, trim, effect = NAMES[function], None, rotors.get(function, NO_EFFECT)
+    name, trim = NAMES[function], None
     if function in SURFACES:
-        # Two servos of one function: their mean.
-        effect = effect_of(SURFACES[function], 1.0 / every.count(function))
         trim = log.parameter(f"{prefix}TRIM", PWM_TRIM)
         if abs(trim - (low + high) / 2.0) > OFF_CENTRE * (high - low):
             log.findings.assumed.append(
                 f"{name}: one unit is half of {low:g} to {high:g} us to either side, although its "
                 f"trim, {trim:g} us, is off the middle"
             )
-    elif function in THROTTLES:
-        effect = effect_of({"thrust": 1.0 / sum(other in THROTTLES for other in every)})
-    elif log.parameter("MOT_PWM_MAX") > 0.0:
+    elif function in MOTORS and log.parameter("MOT_PWM_MAX") > 0.0:
         low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
     turned = log.parameter(f"{prefix}REVERSED") != 0.0
-    channel = Channel(name, effect, meaning, unit="us")
+    channel = Channel(name, effects.get(function, NO_EFFECT), meaning, unit="us")
     return over_range(channel, low, high, centre=trim, turned=turned)
 
 
-def _rotors(log: Log, functions: list[int]) -> dict[int, Effect]:
-    """Effects of the motors by their functions, from the frame."""
-    if not any(function in MOTORS for function in functions):
-        return {}
-    if any(function in SURFACES for function in functions):
+def _effects(log: Log, functions: list[int]) -> dict[int, Effect]:
+    """Effects by function, given those of all pins: of several of one kind, their mean's."""
+    effects = {
+        function: effect_of(SURFACES[function], 1.0 / functions.count(function))
+        for function in functions
+        if function in SURFACES
+    }
+    lifts, has_wings = any(function in MOTORS for function in functions), bool(effects)
+    if throttles := [function for function in functions if function in THROTTLES]:
+        effects |= dict.fromkeys(throttles, effect_of({"thrust": 1.0 / len(throttles)}))
+    if lifts and has_wings:
         log.findings.assumed.append(
             "a QuadPlane: the surfaces and the forward throttle count, its lift motors are only "
             "recorded"
         )
-        return {}
-    key = _frame(log)
-    if key not in FRAMES:
-        raise log.refusal(
-            f": FRAME_CLASS {key[0]} and FRAME_TYPE {key[1]} are not known here "
-            f"({', '.join(name for name, _ in FRAMES.values())}); try --actuators-topic RATE"
+    elif lifts:
+        key = _frame(log)
+        if key not in FRAMES:
+            raise log.refusal(
+                f": FRAME_CLASS {key[0]} and FRAME_TYPE {key[1]} are not known here "
+                f"({', '.join(name for name, _ in FRAMES.values())}); try --actuators-topic RATE"
+            )
+        name, arms = FRAMES[key]
+        effects |= dict(zip(MOTORS, effects_of_arms(arms), strict=False))
+        log.findings.read.append(
+            f"{name} with ArduPilot's motor order and senses of rotation (FRAME_CLASS {key[0]}, "
+            f"FRAME_TYPE {key[1]})"
         )
-    name, arms = FRAMES[key]
-    log.findings.read.append(
-        f"{name} with ArduPilot's motor order and senses of rotation (FRAME_CLASS {key[0]}, "
-        f"FRAME_TYPE {key[1]})"
-    )
-    log.findings.assumed.append(
-        "thrust is taken as proportional to the pulse width about its trim (MOT_THST_EXPO bends it)"
-    )
-    return dict(zip(MOTORS, effects_of_arms(arms), strict=False))
+        log.findings.assumed.append(
+            "thrust is taken as proportional to the pulse width about its trim (MOT_THST_EXPO "
+            "bends it)"
+        )
+    return effects
 
 
 # --- before SERVOn_FUNCTION ---------------------------------------------------------------------

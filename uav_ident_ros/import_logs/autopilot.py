@@ -6,7 +6,7 @@ estimates, what tells that it flew. Its module has an `Import` that knows what i
 """
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -381,58 +381,56 @@ class Import:
             },
         )
 
-    def _first(self, name: str) -> tuple[Messages, FloatArray] | None:
-        """Return the first messages that the table has for a stream, and their values (k, C)."""
+    def _first(self, name: str, *, sampled: bool = False) -> Stream | None:
+        """Return the first of the messages that the table has for a stream, (k, C)."""
         for kind, fields in self.table["streams"][name].items():
             messages = self.log.messages(kind)
             if messages is not None and messages.has(*fields):
                 values = messages.values(*fields)
                 if np.isfinite(values).any():
                     self._note(kind, messages.name)
-                    return messages, values
+                    t_ns = messages.sample_ns if sampled else messages.stamp_ns
+                    return Stream(kind, t_ns, values)
         return None
 
     def _estimates(self) -> dict[str, Stream]:
         """Find what the autopilot knew and wanted: airspeed, attitude, rates asked for, mode."""
         streams = {}
-        if found := self._first("airspeed"):
-            messages, speed = found
-            if self.table["streams"]["airspeed_ratio"]:
-                speed = speed * self._airspeed_ratio(messages)
-            streams["airspeed"] = Stream(messages.name, messages.sample_ns, speed[:, 0])
-        if found := self._first("attitude"):
-            messages, turned = found
-            if turned.shape[1] == 3:  # roll, pitch, yaw, deg
-                turned = quaternions(*np.radians(turned).T)
-            streams["attitude"] = Stream(messages.name, messages.sample_ns, turned)
-        if found := self._first("setpoint"):
-            messages, rates = found
-            fields = ", ".join(self.table["streams"]["setpoint"][messages.name])
-            self.findings.read.append(f"rates asked for: {messages.name}.{fields}")
-            unit = self.table["setpoint_unit"]
-            streams["setpoint"] = Stream(messages.name, messages.stamp_ns, unit * rates)
-        if found := self._first("mode"):
-            messages, values = found
+        if airspeed := self._first("airspeed", sampled=True):
+            speed = (airspeed.values * self._airspeed_ratio(airspeed))[:, 0]
+            streams["airspeed"] = replace(airspeed, values=speed)
+        if attitude := self._first("attitude", sampled=True):
+            if attitude.values.shape[1] == 3:  # roll, pitch, yaw, deg
+                turned = quaternions(*np.radians(attitude.values).T)
+                attitude = replace(attitude, values=turned)
+            streams["attitude"] = attitude
+        if setpoint := self._first("setpoint"):
+            fields = ", ".join(self.table["streams"]["setpoint"][setpoint.source])
+            self.findings.read.append(f"rates asked for: {setpoint.source}.{fields}")
+            values = self.table["setpoint_unit"] * setpoint.values
+            streams["setpoint"] = replace(setpoint, values=values)
+        if mode := self._first("mode"):
             ((field,),) = self.table["streams"]["mode"].values()
-            numbers = values[:, 0].astype(int)
+            numbers = mode.values[:, 0].astype(int)
             changed = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
             names = self.table["modes"]
             modes = np.array([names.get(int(n), f"{field} {n}") for n in numbers[changed]])
             self.findings.read.append(
-                f"mode: {messages.name}.{field}: {', '.join(dict.fromkeys(modes))}"
+                f"mode: {mode.source}.{field}: {', '.join(dict.fromkeys(modes))}"
             )
-            streams["mode"] = Stream(messages.name, messages.stamp_ns[changed], modes)
+            streams["mode"] = Stream(mode.source, mode.t_ns[changed], modes)
         return streams
 
-    def _airspeed_ratio(self, airspeed: Messages) -> FloatArray:
+    def _airspeed_ratio(self, airspeed: Stream) -> FloatArray:
         """Return the ratio of true to indicated airspeed (k, 1); 1 where it is not logged."""
-        if (found := self._first("airspeed_ratio")) is None:
+        if not self.table["streams"]["airspeed_ratio"]:
+            return np.ones((1, 1))
+        if (ratios := self._first("airspeed_ratio")) is None:
             self.findings.assumed.append(
-                f"{airspeed.name} is indicated airspeed; without a ratio it is taken as true"
+                f"{airspeed.source} is indicated airspeed; without a ratio it is taken as true"
             )
             return np.ones((1, 1))
-        messages, ratios = found
-        ratio = hold(airspeed.stamp_ns, messages.stamp_ns, ratios)
+        ratio = hold(airspeed.t_ns, ratios.t_ns, ratios.values)
         return np.where(np.isfinite(ratio), ratio, 1.0)
 
     def _lever_arm(self) -> tuple[float, float, float]:
@@ -447,10 +445,9 @@ class Import:
 
     def _ground_speed(self) -> float:
         """Return the median speed over ground in flight, m/s; 0 if it is not known."""
-        if (found := self._first("ground_speed")) is None:
+        if (ground := self._first("ground_speed")) is None:
             return 0.0
-        messages, speed = found
-        keep = np.isfinite(speed[:, 0])
         if self.flown:
-            keep &= inside(messages.stamp_ns, self.flown)
-        return float(np.median(speed[keep, 0])) if keep.any() else 0.0
+            ground = ground.chosen(inside(ground.t_ns, self.flown))
+        speed = ground.values[np.isfinite(ground.values)]
+        return float(np.median(speed)) if len(speed) else 0.0

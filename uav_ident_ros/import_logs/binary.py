@@ -4,7 +4,6 @@
 import re
 from array import array
 from collections.abc import Sequence
-from pathlib import Path
 
 from uav_ident_ros.import_logs.log import Log
 
@@ -87,11 +86,3 @@ class BinaryLog:
             f"({100.0 * share:.2g} %) in {len(gaps)} place{'s' if len(gaps) > 1 else ''}, about "
             f"{seconds:.2g} s of the log, could not be read; all the rest was",
         )
-
-
-def read_bytes(path: Path) -> bytes:
-    """Return what a file holds; raises an ImportLogError if it cannot be read."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise Log(path).refusal(f" cannot be read: {error.strerror or error}") from None

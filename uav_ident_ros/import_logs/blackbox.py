@@ -4,7 +4,6 @@
 import logging
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import Actuators, Import, table
+from uav_ident_ros.import_logs.binary import CUT_OFF
 from uav_ident_ros.import_logs.channels import effects_of_arms, over_range
 from uav_ident_ros.import_logs.flight_log import Channel, Choice, FlightLog, ImportLogError, Stream
 from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
@@ -47,12 +47,13 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
             log.add(name, 0, {IN_NS: t_ns, **columns})
     if not log.kinds:
         raise log.refusal(" has no frame with a stamp that a clock gave")
-    return _Blackbox(log, KNOWN, choice, headers=headers).flight_log()
+    it = _Blackbox(log, KNOWN, choice)
+    it.headers = headers
+    return it.flight_log()
 
 
-@dataclass
 class _Blackbox(Import):
-    headers: Mapping[str, Any] = field(default_factory=dict)
+    headers: Mapping[str, Any]  # What the log says of itself
 
     def hovers(self, commands: Stream) -> bool:
         return True
@@ -63,11 +64,10 @@ class _Blackbox(Import):
     def _motors(self, messages: Messages) -> Actuators:
         """Motors of a quadrotor in X, in Betaflight's order."""
         log, headers = self.log, self.headers
-        commands = Stream(messages.name, messages.stamp_ns, messages.array("motor"))
-        count, arms = commands.values.shape[1], KNOWN["quad_x"]
-        if count != len(arms):
+        values, arms = messages.array("motor"), KNOWN["quad_x"]
+        if values.shape[1] != len(arms):
             raise log.refusal(
-                f" has {count} motors: only quadrotors are known, whose mixer is quad x"
+                f" has {values.shape[1]} motors: only quadrotors are known, whose mixer is quad x"
             )
         turned = ", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else ""
         if turned:
@@ -83,6 +83,7 @@ class _Blackbox(Import):
             Channel(f"motor_{i}", effect, "motor of quad x", unit="counts")
             for i, effect in enumerate(effects_of_arms(arms), 1)
         ]
+        commands = Stream(messages.name, messages.stamp_ns, values)
         return commands, [over_range(motor, float(low), float(high)) for motor in motors]
 
 
@@ -124,7 +125,7 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
     except Exception as error:  # damaged bytes make a parser fail in many ways
         reader = parser.reader
         if reader.tell() >= len(reader):
-            log.findings.lost.append("the file is cut off at its end: what is there was read")
+            log.findings.lost.append(CUT_OFF)
         else:
             log.findings.damage.append(
                 f"the file is damaged: orangebox stopped at byte {reader.tell()} of {len(reader)} "

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.import_logs.binary import CUT_OFF, BinaryLog, read_bytes
+from uav_ident_ros.import_logs.binary import CUT_OFF, BinaryLog
 from uav_ident_ros.import_logs.log import STAMPS, Column, Log, Messages
 
 HEADER = b"\xa3\x95"
@@ -68,7 +68,7 @@ class Kind:
 
 def read_dataflash(path: Path, types: Collection[str]) -> Log:
     """Read some types of the messages of a dataflash log."""
-    log, data = Log(path), read_bytes(path)
+    log, data = Log(path), path.read_bytes()
     found = _Dataflash(data)
     places, gaps = found.walk(0)
     by_number = {number: array("q") for number in found.kinds}

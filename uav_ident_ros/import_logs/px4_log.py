@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.import_logs.binary import CUT_OFF, BinaryLog, read_bytes
+from uav_ident_ros.import_logs.binary import CUT_OFF, BinaryLog
 from uav_ident_ros.import_logs.flight_log import ImportLogError
 from uav_ident_ros.import_logs.log import Column, Log
 
@@ -63,7 +63,7 @@ DEEPEST = 8
 
 def read_ulog(path: Path, topics: Collection[str]) -> Log:
     """Read some topics of a ULog file, and all it says of itself."""
-    log, data = Log(path), read_bytes(path)
+    log, data = Log(path), path.read_bytes()
     try:
         from pyulog import ULog
     except ImportError:
@@ -90,11 +90,10 @@ def read_ulog(path: Path, topics: Collection[str]) -> Log:
         ulog = ULog(whole, sorted(found.stamped & {*topics}))
     for topic in ulog.data_list:
         log.add(topic.name, topic.multi_id, topic.data)
-    changes = [(t_us * 1e-6, name, value) for t_us, name, value in ulog.changed_parameters]
-    first = [(0.0, name, value) for name, value in ulog.initial_parameters.items()]
-    for t, name, value in first + changes:
+    first = [(0, name, value) for name, value in ulog.initial_parameters.items()]
+    for t_us, name, value in first + ulog.changed_parameters:
         if isinstance(value, int | float):
-            log.set_parameter(name, value, t)
+            log.set_parameter(name, value, t_us * 1e-6)
     log.title = _title(ulog.msg_info_dict)
     if lost := [dropout.duration * 1e-3 for dropout in ulog.dropouts]:
         log.findings.lost.append(
