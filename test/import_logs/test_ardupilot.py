@@ -123,14 +123,6 @@ def test_frames_are_balanced(importer: Importer, frame, count: int) -> None:
     np.testing.assert_allclose(np.abs(rows).sum(axis=1), [2.0, 2.0, 2.0, 1.0])
 
 
-def test_an_unknown_frame_is_refused_with_a_way_out(importer: Importer) -> None:
-    values = servos(33, 34, 35) | {"FRAME_CLASS": 7}
-    log = write_dataflash(importer.folder / "flight.bin", imu() + rcou(), values)
-    printed = importer.refused(log)
-    assert "FRAME_CLASS 7" in printed
-    assert "--actuators-topic RATE" in printed
-
-
 def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importer) -> None:
     requested = np.array([0.1, -0.2, 0.3, 0.4])
     out = (0, 0, 0.1, 0, 0, -0.2, 0, 0, 0.3, 0, 0, 0.4)
@@ -362,18 +354,3 @@ def test_pairs_of_surfaces_of_2014_are_not_guessed(importer: Importer) -> None:
         (it.folder / "identifier.yaml").read_text().replace("#", "").split()
     )
     assert it.values["actuators.channels"][0] == "roll"
-
-
-@pytest.mark.parametrize(
-    ("firmware", "vehicle"),
-    [
-        ("APM:Rover v2.46", "a rover or boat"),
-        ("ArduRover V4.2.3 (1c1d4d1e)", "a rover or boat"),
-        ("ArduSub V4.1.0 (f2af3c7e)", "a submarine"),
-        ("AntennaTracker V1.1.0", "an antenna tracker"),
-        ("Blimp V4.5.0-dev", "a blimp"),
-    ],
-)
-def test_what_is_no_aircraft_is_refused(importer: Importer, firmware: str, vehicle) -> None:
-    printed = importer.refused(old_log(importer.folder, firmware, {}))
-    assert f"old.bin' is of {vehicle} (it calls itself " in printed

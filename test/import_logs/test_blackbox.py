@@ -91,14 +91,3 @@ def test_a_log_that_is_cut_off_or_damaged(importer: Importer) -> None:
     found, _, printed = importer(log_of(importer, spoilt))
     assert "3 of 600 frames are missing or damaged, in 1 places" in printed
     assert len(found.imu_t_ns) == COUNT - 3
-
-
-def test_blackboxes_that_cannot_be_used(importer: Importer) -> None:
-    six = blackbox(fields=FIELDS[:-1])
-    none = blackbox(fields=[name for name in FIELDS if not name.startswith("gyro")])
-    for content, words in (
-        (six, "has 3 motors: only quadrotors are known"),
-        (none, "has no rates (gyroUnfilt, gyroADC); it has accSmooth, motor"),
-        (blackbox(0), "has no frames that can be read"),
-    ):
-        assert words in importer.refused(log_of(importer, content))

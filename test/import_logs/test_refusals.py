@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blackbox_writing import blackbox
+from blackbox_writing import FIELDS, blackbox
 from dataflash_writing import Rows, write_dataflash
 from good_logs import (
     ARMED,
@@ -249,6 +249,10 @@ def px4(*left_out: str, more: Any = (), parameters: Any = (), options: str = "")
     return make
 
 
+def firmware(said: bytes) -> Make:
+    return lambda folder: [str(write_dataflash(folder / "log", [(0, "MSG", (said,))], {}))]
+
+
 def bomb(*formats: str) -> Make:
     """A ULog whose formats refer to one another without an end, or to sizes without one."""
     parts = [*(message("F", f.encode()) for f in formats), message("A", b"\0\0\0a")]
@@ -284,10 +288,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("nowhere.ulg' cannot be read: No such file", lambda folder: [str(folder / "nowhere.ulg")]),
     ("has no table of ulog2csv, as LOG_sensor_combined_0.csv", lambda folder: [str(folder)]),
     ("flight.ulg' is empty", file("flight.ulg", b"")),
-    ("flight.bin' is empty", file("flight.bin", b"")),
-    ("flight.csv' is empty", file("flight.csv", b"")),
     ("of no known kind", file("flight.ulg", NOISE)),
-    ("of no known kind", file("flight.bin", NOISE)),
     ("short.ulg' is no readable ULog file", file("short.ulg", MAGIC + b"\1" + bytes(2))),
     ("it has no messages at all", file("short.ulg", MAGIC + b"\1" + bytes(8))),
     ("'/dev/zero' is no regular file", lambda folder: ["/dev/zero"]),
@@ -313,6 +314,17 @@ REFUSED: list[tuple[str, Make]] = [
     ("it has no messages at all", bomb(*TWO_PARTS, "c:")),
     ("it has no messages at all", bomb("a:uint64_t timestamp;a again;")),
     ("it has no messages at all", bomb("a:uint64_t timestamp;uint64_t timestamp;")),
+    ("log' is of a rover or boat .it calls itself Rover.", firmware(b"APM:Rover v2.46")),
+    ("log' is of a rover or boat .it calls", firmware(b"ArduRover V4.2.3 (1c1d4d1e)")),
+    ("log' is of a submarine .it calls itself", firmware(b"ArduSub V4.1.0 (f2af3c7e)")),
+    ("log' is of an antenna tracker .it calls itself", firmware(b"AntennaTracker V1.1.0")),
+    ("log' is of a blimp .it calls itself", firmware(b"Blimp V4.5.0-dev")),
+    ("FRAME_CLASS 0 and .* not known here .*try --actuators-topic RATE",
+     lambda folder: [str(plane_log(folder, servos=(33, 34, 35)))]),
+    ("has 3 motors: only quadrotors are known", file("log.bbl", blackbox(fields=FIELDS[:-1]))),
+    (r"no rates \(gyroUnfilt, gyroADC\); it has accSmooth, motor", file("log.bbl", blackbox(
+        fields=[name for name in FIELDS if not name.startswith("gyro")]))),
+    ("has no frames that can be read", file("log.bbl", blackbox(0))),
     ("no SERVOn_FUNCTION names", lambda folder: [str(plane_log(folder, servos=()))]),
     # tables
     ("--columns FILE.*t,p,q,r,de", lambda folder: table(folder)[:1]),
