@@ -135,6 +135,8 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importe
     assert bag.names == ["roll", "pitch", "yaw", "throttle"]
     np.testing.assert_allclose(bag.actuators, np.tile(requested, (len(COMMAND_US), 1)), rtol=1e-6)
     np.testing.assert_allclose(mixing(values) @ requested, [0.2, -0.3, 0.1, 0.4])
+    unknown = imported(importer, rates, QUAD | {"FRAME_CLASS": 7})
+    assert "RCOU is passed over" in unknown.printed
 
 
 @pytest.mark.parametrize(("mask", "advice"), [(830, ": make it 831,"), (831, ", although it has")])
