@@ -36,7 +36,7 @@ from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.import_logs.cli import DAMAGED
 from uav_ident_ros.import_logs.dataflash import HEADER, read_dataflash
 from uav_ident_ros.import_logs.flight_log import Findings
-from uav_ident_ros.import_logs.px4_log import MAGIC, SYNC, read_ulog
+from uav_ident_ros.import_logs.px4_log import MAGIC, read_ulog
 from uav_ident_ros.import_logs.stamps import NS_PER_S, plausible
 
 Make = Callable[[Path], list[str]]
@@ -156,7 +156,8 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     parts += [keyed("I", "uint32_t ver_sw_release", struct.pack("<I", 0x10C0000))]
     parts += [keyed("P", "float GAIN", struct.pack("<f", 0.1))]
     parts += [keyed("P", "int32_t COUNT", struct.pack("<i", -4))]
-    parts += [message("A", b"\2\7\0nested"), *data[:5], message("S", SYNC), message("O", b"\x0a\0")]
+    parts += [message("A", b"\2\7\0nested"), *data[:5], message("O", b"\x0a\0")]
+    parts += [message("S", b"\x2f\x73\x13\x20\x25\x0c\xbb\x12")]
     parts += [message("L", b"6" + bytes(8) + b"take-off")]
     parts += [keyed("P", "float GAIN", struct.pack("<f", 0.5)), *data[5:]]
     path = written(tmp_path / "nested.ulg", b"".join(parts))

@@ -4,7 +4,7 @@
 pyulog reads what is certain to be messages: on its own it loses its way behind damaged bytes. By
 https://docs.px4.io/main/en/dev_log/ulog_file_format a header of 16 bytes stands before the
 messages, and each begins with its size and a letter for its type. F declares a format, A a topic
-of it, P a parameter, I a fact; D is a sample of a topic.
+of it, P a parameter, I a fact; D is a sample of a topic, O a dropout of the logger.
 """
 
 import contextlib
@@ -29,26 +29,14 @@ FILE_HEADER, MESSAGE_HEADER, FLAGS = 16, 3, 40
 
 HEADER = struct.Struct("<Hc")
 
-SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
-"""Content of the messages that PX4 writes to be found behind damage."""
-
 SIZES = {
     **{f"{sign}int{8 * n}_t": n for n in (1, 2, 4, 8) for sign in ("", "u")},
     **{"float": 4, "double": 8, "bool": 1, "char": 1},
 }
 """Bytes of each type of a field."""
 
-FORMS = {
-    "S": re.compile(re.escape(SYNC)),
-    "L": re.compile(b".{9,}", re.DOTALL),
-    "C": re.compile(b".{11,}", re.DOTALL),
-    "R": re.compile(b"..", re.DOTALL),
-    "O": re.compile(b"..", re.DOTALL),
-}
-"""What the messages of a type hold, where that has a form of its own."""
-
-KEYS = {"I": 0, "P": 0, "M": 1, "Q": 1}
-"""Where the key of a value begins, by the type of the messages."""
+READ, UNREAD = frozenset("FAPIDO"), frozenset("SLCRMQ")
+"""Types of messages: those that are read, and marks, texts and values that nobody asks for."""
 
 KEY = re.compile(rb"([a-z0-9_]+(?:\[\d+\])?) [\w-]+")
 FORMAT = re.compile(r"([\w/]+):((?:[\w/]+(?:\[\d{1,5}\])? \w+;)*)", re.ASCII)
@@ -80,10 +68,8 @@ def read_ulog(path: Path, topics: Collection[str]) -> Log:
                 "later format"
             )
     places, gaps = found.walk(start)
-    begins, ends = [start, *(end for _, end in gaps)], [*(begin for begin, _ in gaps), len(data)]
-    view = memoryview(data)
-    pieces = [view[begin:end] for begin, end in zip(begins, ends, strict=True)]
-    whole = io.BytesIO(b"".join([view[:FILE_HEADER], *pieces]))
+    pieces = [data[at : at + found.header(at)[0]] for at in places if chr(data[at + 2]) in READ]
+    whole = io.BytesIO(b"".join([data[:FILE_HEADER], *pieces]))
     numbers = {data[at + 3 : at + 5] for at in places if data[at + 2] == ord("D")}
     log.kinds = {found.topics[int.from_bytes(number, "little")] for number in numbers}
     with contextlib.redirect_stdout(io.StringIO()):  # it is wordy
@@ -105,7 +91,7 @@ def read_ulog(path: Path, topics: Collection[str]) -> Log:
 
 
 class _Ulog(BinaryLog):
-    begins = re.compile(b"(?=..[FIMPQADS])", re.DOTALL)
+    begins = re.compile(b"(?=..[FAPID])", re.DOTALL)
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
@@ -128,7 +114,7 @@ class _Ulog(BinaryLog):
 
     def rest(self, at: int) -> str | None:
         length, kind = self.header(at)
-        part = kind in {*FORMS, *KEYS, *"FAD"} and at + length > self.size
+        part = kind in READ | UNREAD and at + length > self.size
         return CUT_OFF if part or at + MESSAGE_HEADER > self.size else None
 
     def learn(self, at: int, length: int) -> None:
@@ -149,10 +135,7 @@ class _Ulog(BinaryLog):
         if kind == "D":
             number = int.from_bytes(data[begin : begin + 2], "little")
             return self._sizes.get(number) == end - begin + MESSAGE_HEADER
-        if kind in FORMS:
-            return FORMS[kind].fullmatch(data, begin, end) is not None
-        if kind in KEYS:
-            begin += KEYS[kind]
+        if kind in "IP":
             value = begin + 1 + data[begin] if begin < end else end
             key = KEY.fullmatch(data, begin + 1, value) if value < end else None
             return key is not None and SIZES.get(key[1].decode(), end - value) == end - value
@@ -162,7 +145,7 @@ class _Ulog(BinaryLog):
         if kind == "A" and end - begin > 3:
             number, name = self._topic(begin, end)
             return number not in self.topics and 0 < self._size(name, outer=True) <= LARGEST
-        return False
+        return kind in UNREAD or (kind == "O" and end - begin == 2)
 
     def _topic(self, begin: int, end: int) -> tuple[int, str]:
         """Return the number and the name that a topic is declared with."""
