@@ -36,16 +36,15 @@ INSTANCE_FIELD = "I"
 OLD_INSTANCES = {"IMU2": ("IMU", 1), "IMU3": ("IMU", 2)}
 """Type and instance of what was a type of its own before there was a field for it."""
 
-FIELD_TYPES: dict[str, tuple[str, float]] = {
-    **dict.fromkeys("bM", ("i1", 1.0)),
-    **{"B": ("u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0)},
-    **{"I": ("<u4", 1.0), "q": ("<i8", 1.0), "Q": ("<u8", 1.0)},
-    **{"g": ("<f2", 1.0), "f": ("<f4", 1.0), "d": ("<f8", 1.0)},
-    **{"c": ("<i2", 100.0), "C": ("<u2", 100.0), "e": ("<i4", 100.0), "E": ("<u4", 100.0)},
-    **{"L": ("<i4", 1e7), "n": ("S4", 1.0), "N": ("S16", 1.0), "Z": ("S64", 1.0)},
-    "a": ("S64", 1.0),
-}
-"""NumPy type of each format character, and what its integers are to be divided by."""
+FIELD_TYPES = {
+    "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8",
+    "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4", "M": "i1",
+    "g": "<f2", "f": "<f4", "d": "<f8", "n": "S4", "N": "S16", "Z": "S64", "a": "S64",
+}  # fmt: skip
+"""NumPy type of each format character."""
+
+DIVISORS = {**dict.fromkeys("cCeE", 100.0), "L": 1e7}
+"""What the integers of a format character are to be divided by."""
 
 
 @dataclass
@@ -54,15 +53,15 @@ class Kind:
 
     name: str
     dtype: np.dtype[np.void]  # Its first field is the header
-    divisors: Sequence[float]  # What the values are to be divided by
+    divisors: dict[str, float]  # What the values of some fields are to be divided by
 
     def columns(self, data: bytes, places: Sequence[int]) -> dict[str, Column]:
         """Return the fields of the messages at some places as arrays, in their declared units."""
-        size, names = self.dtype.itemsize, (self.dtype.names or ())[1:]
+        size, divisors = self.dtype.itemsize, self.divisors
         rows = np.frombuffer(b"".join(data[at : at + size] for at in places), self.dtype)
         return {
-            name: rows[name] if divisor == 1.0 else rows[name] / divisor
-            for name, divisor in zip(names, self.divisors, strict=True)
+            name: rows[name] / divisors[name] if name in divisors else rows[name]
+            for name in (self.dtype.names or ())[1:]
         }
 
 
@@ -147,14 +146,16 @@ class _Dataflash(BinaryLog):
         return CUT_OFF if self.data[at:].startswith(HEADER) else ""
 
 
-def _kind(name: bytes, characters: bytes, columns: bytes) -> Kind:
+def _kind(called: bytes, characters: bytes, columns: bytes) -> Kind:
     """Return a type of messages as its declaration describes it; ValueError if it cannot be."""
     names = list(filter(None, _text(columns).split(",")))
-    found = [FIELD_TYPES.get(character, ("", 0.0)) for character in _text(characters)]
-    if ("", 0.0) in found or len(names) != len(found):
+    types = _text(characters)
+    if len(names) != len(types) or not {*types} <= FIELD_TYPES.keys():
         raise ValueError("no such format")
-    dtype = np.dtype([("", "S3"), *((n, kind) for n, (kind, _) in zip(names, found, strict=True))])
-    return Kind(_text(name), dtype, [divisor for _, divisor in found])
+    fields = list(zip(names, types, strict=True))
+    dtype = np.dtype([("", "S3"), *((name, FIELD_TYPES[kind]) for name, kind in fields)])
+    divisors = {name: DIVISORS[kind] for name, kind in fields if kind in DIVISORS}
+    return Kind(_text(called), dtype, divisors)
 
 
 def _text(characters: bytes) -> str:

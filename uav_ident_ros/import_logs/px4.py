@@ -88,8 +88,6 @@ class _Px4(Import):
             self.findings.lost.append(
                 f"{int((~valid).sum())} accelerometer samples are invalid: held over"
             )
-        if offset := float(np.median(relative[valid])) * 1e-3:
-            self.findings.read.append(f"accelerometer samples lie {offset:+.2f} ms from the gyro's")
         last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), 0))
         return np.asarray(force[last])
 
