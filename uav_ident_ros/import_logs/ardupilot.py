@@ -73,6 +73,8 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
 
 
 class _ArduPilot(Import):
+    """What is known of ArduPilot: the functions of its pins, and QuadPlanes."""
+
     def in_the_body(
         self, kind: str, messages: Messages, rates: FloatArray, force: Force
     ) -> tuple[FloatArray, Force]:

@@ -53,6 +53,8 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
 
 
 class _Blackbox(Import):
+    """What is known of Betaflight: the motors of its quad x."""
+
     headers: Mapping[str, Any]  # What the log says of itself
 
     def hovers(self, commands: Stream) -> bool:

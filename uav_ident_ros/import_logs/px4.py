@@ -65,6 +65,8 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
 
 
 class _Px4(Import):
+    """What is known of PX4: raw gyros, and the commands of three generations of it."""
+
     # --- rates ------------------------------------------------------------------------------------
 
     def in_the_body(
