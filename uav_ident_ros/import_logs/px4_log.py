@@ -184,9 +184,6 @@ def _title(facts: Mapping[str, Any]) -> str:
 
 # --- tables of ulog2csv --------------------------------------------------------------------------
 
-PARAMETERS = re.compile(r".*param(s|eters)?\.(csv|txt)")
-"""What ulog_params writes: lines of a name and a value."""
-
 
 def read_folder(path: Path, topics: Collection[str]) -> Log:
     """Read the tables of some topics, and the parameters if they are there."""
@@ -207,12 +204,12 @@ def read_folder(path: Path, topics: Collection[str]) -> Log:
         columns = _table(file)
         if len(columns["timestamp"]):
             log.add(match["topic"], int(match["instance"]), columns)
-    for file in path.iterdir():
-        if PARAMETERS.fullmatch(file.name.lower()):
-            log.parameters.update(_parameters(file))
+    for file in path.glob("*params.csv"):  # of ulog_params: names and values
+        rows = (line.split(",") for line in file.read_text(encoding="utf-8").splitlines())
+        log.parameters |= {name: float(value) for name, value, *_ in rows}
     if not log.parameters:
         log.findings.lost.append(
-            "the tables say nothing of the parameters: ulog_params LOG.ulg PARAMS.csv writes them"
+            "the tables say nothing of the parameters: ulog_params LOG.ulg params.csv writes them"
         )
     return log
 
@@ -228,11 +225,3 @@ def _table(file: Path) -> dict[str, Column]:
     if "timestamp" not in names:
         raise ImportLogError(f"table '{file}' has no column 'timestamp'")
     return dict(zip(names, values.T, strict=True))
-
-
-def _parameters(file: Path) -> dict[str, float]:
-    """Return the parameters of lines such as ``CA_AIRFRAME,1``."""
-    text = file.read_text("utf-8", errors="replace")
-    number = r"[-+]?\d+\.?\d*(?:[eE][-+]?\d+)?"
-    found = re.findall(rf"(?m)^\s*(\w+)[,:\s]+({number})\s*(?:,|$)", text)
-    return {name: float(value) for name, value in found}
