@@ -2,10 +2,10 @@
 """An imported log as a bag with the standard topics, and the parameters that fit it."""
 
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -42,39 +42,15 @@ FIRST_NS = 1
 """First stamp of a bag, ns: zero says in ROS that there is none, and the message would be lost."""
 
 
-class Topic(NamedTuple):
-    """A topic of an imported bag."""
-
-    name: str
-    msgtype: str
-    make: Callable[[FlightLog, int, Any], Any]  # Makes a message from a stamp, ns, and a sample
-    depth: int = 10
-
-
-def _imu(log: FlightLog, t_ns: int, sample: Any) -> Any:
-    rates, force, turned = sample[:3].tolist(), sample[3:6].tolist(), sample[6:].tolist()
-    return imu(t_ns, rates, force if log.has_force else None, FRAME_IDS[log.convention], turned)
-
-
 TOPICS = {
-    "actuators": Topic(
-        "/actuators",
-        JOINT_STATE,
-        lambda log, t_ns, raw: joint_state(t_ns, [channel.name for channel in log.channels], raw),
-    ),
-    "rates": Topic("/imu/data", IMU, _imu, 500),
-    "airspeed": Topic(
-        "/airspeed", TWIST, lambda _, t_ns, v: twist_stamped(t_ns, (float(v), 0.0, 0.0))
-    ),
-    "setpoint": Topic(
-        "/setpoint/rates",
-        VECTOR,
-        lambda _, t_ns, pqr: vector_stamped(t_ns, pqr.tolist(), FRAME_IDS["frd"]),
-    ),
-    "mode": Topic("/mode", STRING, lambda _, t_ns, name: plain(STRING, str(name))),
-    "armed": Topic("/armed", BOOL, lambda _, t_ns, armed: plain(BOOL, bool(armed))),
+    "actuators": ("/actuators", JOINT_STATE),
+    "rates": ("/imu/data", IMU),
+    "airspeed": ("/airspeed", TWIST),
+    "setpoint": ("/setpoint/rates", VECTOR),
+    "mode": ("/mode", STRING),
+    "armed": ("/armed", BOOL),
 }
-"""Topic of each stream; at equal times they are written in this order."""
+"""Topic and type of each stream; at equal times they are written in this order."""
 
 
 def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> None:
@@ -94,22 +70,37 @@ def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> Non
         streams["armed"] = _armed(log.flown, rates.t_ns)
     with whole(folder) as working:
         with BagWriter(working) as bag:
-            entries = []
-            for name, topic in TOPICS.items():
-                if name in streams:
-                    profile = qos(topic.depth, reliable=name != "rates")
-                    bag.topic(topic.name, topic.msgtype, profile)
-                    entries.append(_messages(log, streams[name], topic))
-            bag.merge(entries)
+            recorded = [name for name in TOPICS if name in streams]
+            for name in recorded:
+                profile = qos(500, reliable=False) if name == "rates" else qos(10)
+                bag.topic(*TOPICS[name], profile)
+            bag.merge(_messages(log, name, streams[name]) for name in recorded)
         _write_parameters(working / PARAMETER_FILE, log, values)
 
 
-def _messages(log: FlightLog, stream: Stream, topic: Topic) -> Iterator[tuple[int, str, Any]]:
+def _messages(log: FlightLog, name: str, stream: Stream) -> Iterator[tuple[int, str, Any]]:
     """Yield log time, topic and message; log times never step back, whatever the stamps do."""
     stamp_ns = np.maximum(stream.t_ns, FIRST_NS)
     log_ns = np.maximum.accumulate(stamp_ns).tolist()
     for recorded, t_ns, sample in zip(log_ns, stamp_ns.tolist(), stream.values, strict=True):
-        yield recorded, topic.name, topic.make(log, t_ns, sample)
+        yield recorded, TOPICS[name][0], _message(log, name, t_ns, sample)
+
+
+def _message(log: FlightLog, name: str, t_ns: int, sample: Any) -> Any:
+    """Return the message of a sample of a stream."""
+    match name:
+        case "actuators":
+            return joint_state(t_ns, [channel.name for channel in log.channels], sample)
+        case "rates":
+            rates, force, turned = sample[:3].tolist(), sample[3:6].tolist(), sample[6:].tolist()
+            frame = FRAME_IDS[log.convention]
+            return imu(t_ns, rates, force if log.has_force else None, frame, turned)
+        case "airspeed":
+            return twist_stamped(t_ns, (sample.item(), 0.0, 0.0))
+        case "setpoint":
+            return vector_stamped(t_ns, sample.tolist(), FRAME_IDS["frd"])
+        case _:
+            return plain(TOPICS[name][1], sample.item())
 
 
 def _armed(flown: Stretches, rates_ns: TimeArray) -> Stream:
@@ -161,10 +152,10 @@ def fitting(
     """Return the parameters of the identifier that fit a log, by dotted name."""
     channels = [channel for _, channel in log.used]
     values: dict[str, Any] = {
-        "imu.type": TOPICS["rates"].msgtype,
+        "imu.type": IMU,
         "imu.convention": log.convention,
         "imu.lever_arm": list(log.lever_arm),
-        "actuators.type": TOPICS["actuators"].msgtype,
+        "actuators.type": JOINT_STATE,
         "actuators.channels": [channel.name for channel in channels],
         "actuators.scale": [channel.scale for channel in channels],
         "actuators.trim": _trim(log, trim),
@@ -182,7 +173,7 @@ def fitting(
     if moved:
         values["supervision.expected_signs"] = [SIGNS[name] for name in moved]
     if log.flown is not None:
-        values["armed.type"] = TOPICS["armed"].msgtype
+        values["armed.type"] = BOOL
     return values | _airspeed(log, airspeed)
 
 
@@ -243,7 +234,7 @@ def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
     values: dict[str, Any] = {}
     speed = _flown_speed(log)
     if use if use is not None else speed >= SLOWEST_FLIGHT:
-        values["airspeed.type"] = TOPICS["airspeed"].msgtype
+        values["airspeed.type"] = TWIST
         log.findings.read.append(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
     elif "airspeed" in log.streams:
         reason = (
