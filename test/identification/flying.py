@@ -151,23 +151,22 @@ def since(estimates: list[Estimate], begin: float, end: float) -> list[Estimate]
     return [e for e in estimates if begin <= (e.t_ns - first) * 1e-9 < end]
 
 
-def errors(
-    coefficients: FloatArray, structure: str, flight: Flight, names: Iterable[str]
-) -> Mapping[str, float]:
-    """Relative errors of the named coefficients."""
+def worst_error(
+    coefficients: FloatArray,
+    flight: Flight,
+    names: Iterable[str] = DOMINANT,
+    structure: str = "throttle_coupled",
+) -> float:
+    """Largest relative error of the named coefficients."""
     assert flight.coefficients is not None
     found, truth = STRUCTURES[structure], STRUCTURES[flight.structure]
-    return {
-        name: float(coefficients[found.index(name)] / flight.coefficients[truth.index(name)] - 1.0)
-        for name in names
-    }
+    shares = [
+        coefficients[found.index(name)] / flight.coefficients[truth.index(name)] for name in names
+    ]
+    return float(np.abs(np.array(shares) - 1.0).max())
 
 
 def linear_names(flight: Flight) -> list[str]:
     """Names of the coefficients of rates and inputs."""
     structure = STRUCTURES[flight.structure]
     return [n for n, (_, j) in zip(structure.names, structure.free, strict=True) if j >= 5]
-
-
-def worst(values: Mapping[str, float]) -> float:
-    return float(np.max(np.abs(list(values.values()))))

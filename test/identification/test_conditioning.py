@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import errors, identified, linear_names, messages, plant_flight, run, settings, worst
+from flying import identified, linear_names, messages, plant_flight, run, settings, worst_error
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
@@ -128,7 +128,5 @@ def test_how_it_is_measured_does_not_matter(
     """Noise-free, so that the pairing of rates and inputs is all that is tested."""
     m = measure(replace(calm_flight, channel_set=CHANNEL_SETS[channels]), Sensors(**variant))
     _, (*_, last) = identified(m, estimator="least_squares")
-    assert (
-        worst(errors(last.coefficients, "augmented", calm_flight, linear_names(calm_flight)))
-        < limit
-    )
+    names = linear_names(calm_flight)
+    assert worst_error(last.coefficients, calm_flight, names, "augmented") < limit

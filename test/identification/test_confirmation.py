@@ -6,7 +6,6 @@ import pytest
 
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Confirmation, NoiseModel
-from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, STRUCTURES
 
 LAYOUT = layout(STRUCTURES["augmented"])
@@ -160,15 +159,6 @@ def test_a_turn_in_which_a_surface_does_nothing_counts_against_it() -> None:
     flight.fly(REST, moved=0.0)
     flight.fly(TURN, 0.0, MOVED, row=PITCH)
     assert [bool(doubt) for doubt in flight.doubts()] == [False, True, False]
-
-
-def test_a_turn_long_ago_says_nothing_of_the_next() -> None:
-    flight = in_turns()
-    flight.fly(2.0 * MEMORY, moved=0.0)
-    flight.fly(TURN, moved=MOVED)
-    assert flight.doubts() == ["", "", ""]
-    flight.fly(8.0, moved=0.0)
-    assert all("unconfirmed" in doubt for doubt in flight.doubts())
 
 
 def test_a_row_that_is_learned_anew_is_forgotten_alone() -> None:

@@ -7,19 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import flying
 import numpy as np
 import pytest
-from flying import AMPLITUDES as PLANT_AMPLITUDES
-from flying import (
-    Message,
-    identified,
-    light_errors,
-    light_measured,
-    messages,
-    plant_flight,
-    run,
-    settings,
-)
 from numpy.typing import ArrayLike
 
 from uav_ident_ros.bags.reading import Bag
@@ -39,32 +29,32 @@ from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFligh
 
 NOISY = Sensors(gyro_noise=0.02, accelerometer_noise=0.1)
 REAL_FLIGHT = Path(__file__).resolve().parents[3] / "shared" / "bags" / "thor75_auto"
+UNKNOWN = {"actuators__delay": 0.0, "actuators__estimate_delay": True}
 DELAYS = delay.STEP * np.arange(-2, 13)
 
 
 def found(flight: Flight, sensors: Sensors = NOISY, **changes: Any) -> OnlineIdentifier:
     m = measure(flight, sensors)
-    values = {"actuators__delay": 0.0, "actuators__estimate_delay": True, **changes}
-    return identified(m, estimator="least_squares", **values)[0]
+    return flying.identified(m, estimator="least_squares", **{**UNKNOWN, **changes})[0]
 
 
 @pytest.mark.parametrize(("delay", "lag"), [(0.15, 0.0), (0.02, 0.12)])
 def test_in_calm_air_delay_and_lag_are_found_together(delay: float, lag: float) -> None:
     """With the lag in use."""
-    estimate = found(plant_flight(32.0, delay=delay, time_constant=lag)).delays.estimate
+    estimate = found(flying.plant_flight(32.0, delay=delay, time_constant=lag)).delays.estimate
     assert estimate.sure and estimate.delay == pytest.approx(delay, abs=0.015)
     assert estimate.total_sure and estimate.total == pytest.approx(delay + lag, abs=0.015)
 
 
 @pytest.mark.parametrize("rate", [20.0, 1000.0])
 def test_at_any_rate_of_the_imu(rate: float) -> None:
-    flight = plant_flight(30.0, delay=0.06, rate=1000.0, max_step=1e-3)
+    flight = flying.plant_flight(30.0, delay=0.06, rate=1000.0, max_step=1e-3)
     identifier = found(flight, Sensors(rate=rate, gyro_noise=0.01))
     assert identifier.delay == pytest.approx(0.06, abs=0.015)
 
 
 def test_a_wrong_start_is_corrected_in_gusts_under_an_autopilot() -> None:
-    flight = plant_flight(30.0, delay=0.06, gusts=ColouredNoise(0.3, 0.3), autopilot=True)
+    flight = flying.plant_flight(30.0, delay=0.06, gusts=ColouredNoise(0.3, 0.3), autopilot=True)
     assert found(flight, actuators__delay=0.2).delay == pytest.approx(0.06, abs=0.015)
 
 
@@ -72,7 +62,7 @@ def test_a_wrong_start_is_corrected_in_gusts_under_an_autopilot() -> None:
 def test_without_excitation_it_says_nothing(gusts: float) -> None:
     """The autopilot's answers to gusts tell of the autopilot, not of the delay."""
     air = ColouredNoise(gusts, 0.3)
-    flight = plant_flight(30.0, segments=(), delay=0.06, gusts=air, autopilot=True)
+    flight = flying.plant_flight(30.0, segments=(), delay=0.06, gusts=air, autopilot=True)
     identifier = found(flight, actuators__delay=0.04)
     assert identifier.delay == 0.04
     assert identifier.delay_confidence != "sure"
@@ -114,9 +104,9 @@ def flown_with(
     **changes: Any,
 ) -> tuple[OnlineIdentifier, Estimate]:  # fmt: skip
     """Return an identifier, told a delay and a lag, after a flight with those of the servos."""
-    m = light_measured(seconds, delay=delay, time_constant=lag)
+    m = flying.light_measured(seconds, delay=delay, time_constant=lag)
     values = {"actuators__delay": told, "actuators__time_constant": lag_told, **changes}
-    identifier, (*_, last) = identified(m, **values)
+    identifier, (*_, last) = flying.identified(m, **values)
     return identifier, last
 
 
@@ -132,7 +122,7 @@ def test_a_delay_that_is_a_little_off_makes_the_rows_less_sure() -> None:
     assert off[0].delay_confidence == "none"
     for name in ("pdot/da", "qdot/de"):
         assert sigma_of(off[1], name) > 2.0 * sigma_of(told[1], name)
-    assert (light_errors(off[1], "pdot/da", "qdot/de")[1] < 2.0).all()
+    assert (flying.light_errors(off[1], "pdot/da", "qdot/de")[1] < 2.0).all()
 
 
 @pytest.mark.parametrize(
@@ -154,7 +144,7 @@ def test_no_row_is_usable_that_inputs_would_falsify_by_a_quarter(
 
 def test_inputs_that_come_seldom_are_held_too_long_and_a_line_mends_it() -> None:
     """'Correct their stamps' was said of commands at 10 Hz, whose stamps were right."""
-    m = light_measured(50.0, delay=0.02)
+    m = flying.light_measured(50.0, delay=0.02)
     fifth = slice(None, None, 5)
     m = replace(
         m,
@@ -162,11 +152,11 @@ def test_inputs_that_come_seldom_are_held_too_long_and_a_line_mends_it() -> None
         actuator_t_ns=m.actuator_t_ns[fifth],
         actuator_log_ns=m.actuator_log_ns[fifth],
     )
-    _, (*_, held) = identified(m)
+    _, (*_, held) = flying.identified(m)
     assert "they come every 100 ms and are held until then: publish" in held.reason
-    _, (*_, joined) = identified(m, actuators__interpolation="linear")
+    _, (*_, joined) = flying.identified(m, actuators__interpolation="linear")
     assert "the inputs act" not in joined.reason
-    assert (light_errors(joined, "pdot/da", "qdot/de")[0] < 0.15).all()
+    assert (flying.light_errors(joined, "pdot/da", "qdot/de")[0] < 0.15).all()
 
 
 def test_what_was_learned_with_another_delay_counts_for_a_second() -> None:
@@ -174,14 +164,13 @@ def test_what_was_learned_with_another_delay_counts_for_a_second() -> None:
 
     The value stays until there are new data: a tick is none.
     """
-    m = measure(plant_flight(25.0, delay=0.06), NOISY)
-    values = {"actuators__delay": 0.0, "actuators__estimate_delay": True}
+    m = measure(flying.plant_flight(25.0, delay=0.06), NOISY)
     flown = OnlineIdentifier(
-        settings(m, estimator="least_squares", structure="throttle_coupled", **values)
+        flying.settings(m, estimator="least_squares", structure="throttle_coupled", **UNKNOWN)
     )
     damping, kept = flown.structure.index("pdot/p"), []
-    for message in messages(m):
-        kept += [(flown.delay > 0.0, e) for e in run(flown, [message])]
+    for message in flying.messages(m):
+        kept += [(flown.delay > 0.0, e) for e in flying.run(flown, [message])]
     first = [after for after, _ in kept].index(True)
     (_, before), (_, after) = kept[first], kept[first + 1]  # forgotten behind the tick
     grown = np.sqrt((before.t_ns - kept[0][1].t_ns) * 1e-9)  # learned from the start on
@@ -194,7 +183,7 @@ def test_the_model_s_own_error_with_the_wrong_delay_is_forgotten() -> None:
     identifier, last = flown_with(0.14, 0.02, seconds=52.0, actuators__estimate_delay=True)
     assert identifier.delay == pytest.approx(0.14, abs=0.015)
     assert sigma_of(last, "rdot/dr") < 0.15 * 9.0
-    assert light_errors(last, "rdot/dr")[1] < 2.0
+    assert flying.light_errors(last, "rdot/dr")[1] < 2.0
 
 
 def test_a_lag_that_a_delay_stands_for_makes_the_quick_axes_unsure() -> None:
@@ -204,26 +193,26 @@ def test_a_lag_that_a_delay_stands_for_makes_the_quick_axes_unsure() -> None:
         for told in (0.0, 0.12)
     )
     assert hidden.delay_confidence == "sure"
-    share, sigmas = light_errors(unsure, "pdot/da")
+    share, sigmas = flying.light_errors(unsure, "pdot/da")
     assert share > 0.2 and sigmas < 3.0
     assert "servo lag are not separated" in unsure.reason
     assert "'actuators.time_constant'" in unsure.reason
-    assert light_errors(last, "pdot/da")[1] < 2.0
+    assert flying.light_errors(last, "pdot/da")[1] < 2.0
     assert sigma_of(last, "pdot/da") < 0.1 * 45.0
     assert "a servo lag of" not in last.reason
 
 
 def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:
-    m = measure(plant_flight(45.0, delay=0.06), NOISY)
+    m = measure(flying.plant_flight(45.0, delay=0.06), NOISY)
     start = int(m.imu_t_ns[0])
-    identifier = OnlineIdentifier(settings(m, actuators__delay=0.0, actuators__estimate_delay=True))
+    identifier = OnlineIdentifier(flying.settings(m, **UNKNOWN))
 
-    def broken(message: Message) -> Message:
+    def broken(message: flying.Message) -> flying.Message:
         after = message.t_ns - start
         return message._replace(t_ns=message.t_ns + (after > 38e9) * 3600 * 10**9)
 
-    kept = [m for m in messages(m) if not 19e9 < m.t_ns - start < 19.6e9]
-    run(identifier, [broken(message) for message in kept])
+    kept = [m for m in flying.messages(m) if not 19e9 < m.t_ns - start < 19.6e9]
+    flying.run(identifier, [broken(message) for message in kept])
     assert identifier.delay == pytest.approx(0.06, abs=0.015)
     identifier.reset()
     assert (identifier.delay, identifier.delay_confidence) == (0.0, "none")
@@ -261,26 +250,26 @@ def test_quiet_flight_is_left_out_unless_something_is_injected() -> None:
 
 def test_a_vibration_beyond_the_steps_of_the_bank_accuses_no_delay() -> None:
     """At 40 Hz of steps 50 Hz looked like 10 Hz: 'the inputs act 20 ms later' was said."""
-    m = light_measured(60.0, rate=1000.0, sensors={"rate": 250.0}, delay=0.02)
+    m = flying.light_measured(60.0, rate=1000.0, sensors={"rate": 250.0}, delay=0.02)
     t = (m.imu_t_ns - m.imu_t_ns[0]) * 1e-9
     phases = np.cumsum(np.random.default_rng(5).normal(0.0, 0.1, len(t)))
     shake = np.sin((2.0 * np.pi * 50.5 * t + phases)[:, None] + np.arange(3.0))
-    identifier, estimates = identified(replace(m, rates=m.rates + 0.3 * shake))
+    identifier, estimates = flying.identified(replace(m, rates=m.rates + 0.3 * shake))
     estimate = identifier.delays.estimate
     assert estimate.sure and estimate.off(0.02) == 0.0
     assert not any("the inputs act" in e.reason for e in estimates)
 
 
 def test_the_delay_rests_when_the_excitation_ends() -> None:
-    segments = (Segment("multisine", 0.0, 40.0, PLANT_AMPLITUDES, seed=1),)
+    segments = (Segment("multisine", 0.0, 40.0, flying.AMPLITUDES, seed=1),)
     air = ColouredNoise(0.3, 0.3)
-    flight = plant_flight(75.0, segments=segments, delay=0.06, gusts=air, autopilot=True)
+    flight = flying.plant_flight(75.0, segments=segments, delay=0.06, gusts=air, autopilot=True)
     m = measure(flight, NOISY)
-    identifier = OnlineIdentifier(settings(m, actuators__delay=0.0, actuators__estimate_delay=True))
+    identifier = OnlineIdentifier(flying.settings(m, **UNKNOWN))
     start, looks = int(m.imu_t_ns[0]), []
     for after, until in ((0.0, 50.0), (50.0, 75.0)):
-        part = [m for m in messages(m) if after <= (m.t_ns - start) * 1e-9 < until]
-        run(identifier, part)
+        part = [m for m in flying.messages(m) if after <= (m.t_ns - start) * 1e-9 < until]
+        flying.run(identifier, part)
         looks.append(identifier.delays.errors)
     np.testing.assert_array_equal(*looks)
     assert identifier.delay == pytest.approx(0.06, abs=0.015)

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from flying import AMPLITUDES, DOMINANT, errors, identified, linear_names, measured, worst
+from flying import AMPLITUDES, DOMINANT, identified, linear_names, measured, worst_error
 
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.prior import start_from
@@ -28,7 +28,7 @@ def test_the_papers_law_converges_to_the_truth() -> None:
     m = measured(60.0, noise=0.0, segments=excitation(3.0))
     own = {"estimator": "gradient", "gradient__gains": (6.0,) * 12}
     found = identified(m, structure=STRUCTURE, **own)[1][-1].coefficients
-    assert worst(errors(found, STRUCTURE, m.flight, STRUCTURES[STRUCTURE].names)) < 0.02
+    assert worst_error(found, m.flight, STRUCTURES[STRUCTURE].names) < 0.02
 
 
 @BOTH
@@ -38,7 +38,7 @@ def test_the_estimate_is_the_truth(estimator: str, noise: float) -> None:
     m = measured(30.0, noise)
     identifier, (*_, last) = identified(m, structure=STRUCTURE, estimator=estimator)
     names, limit = (DOMINANT, 0.05) if noise else (linear_names(m.flight), 0.005)
-    assert worst(errors(last.coefficients, STRUCTURE, m.flight, names)) < limit
+    assert worst_error(last.coefficients, m.flight, names) < limit
     if not noise:  # no residual shows what one number for all speeds and angles is off by
         places = tuple(zip(*map(identifier.structure.index, DOMINANT), strict=True))
         ratio = last.sigma[places] / np.abs(last.coefficients[places])
@@ -51,7 +51,7 @@ def test_gusts_bias_least_squares_but_not_the_instruments() -> None:
     def error(estimator: str) -> float:
         _, estimates = identified(m, structure=STRUCTURE, estimator=estimator)
         found = estimates[-1].coefficients
-        return worst(errors(found, STRUCTURE, m.flight, ("pdot/p", "pdot/da", "qdot/de")))
+        return worst_error(found, m.flight, ("pdot/p", "pdot/da", "qdot/de"))
 
     by_instruments = error("instrumental_variable")
     assert by_instruments < 0.1
@@ -181,4 +181,4 @@ def test_what_rests_is_kept_or_grows_unsure_with_its_row(
             2.0 * last.sigma[place]
         )
     assert not last.usable_rows[2]
-    assert worst(errors(last.coefficients, STRUCTURE, m.flight, ("pdot/da", "qdot/de"))) < 0.05
+    assert worst_error(last.coefficients, m.flight, ("pdot/da", "qdot/de")) < 0.05

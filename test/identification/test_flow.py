@@ -19,7 +19,7 @@ from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.sampling import Block, FlowSignals
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.speed import LARGEST_RATIO
-from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -197,18 +197,6 @@ def test_a_roll_in_a_sideslip_turns_one_angle_into_the_other() -> None:
     left = found.y[:, 4] - found.f[:, columns] @ slopes
     assert slopes[0] == pytest.approx(a[az], rel=0.01)
     assert np.std(left) < 0.01 * np.std(found.y[:, 4])
-
-
-def test_without_motion_the_angles_are_those_of_the_force() -> None:
-    """Lift is weight: alpha where az is -g, and the surfaces' own part taken off."""
-    values = first_values(FLIGHT)
-    values[FLIGHT.index("az/de")] = -10.0
-    u = np.zeros((200, 4))
-    u[:, INPUTS.index("de")] = 0.1
-    force = np.tile([0.0, 0.0, -GRAVITY], (201, 1))
-    angles, _ = observed(observer(), np.zeros((201, 3)), force, u, 0.01, values)
-    given = (-GRAVITY - values[FLIGHT.index("az/de")] * 0.1) / values[FLIGHT.index("az/alpha")]
-    np.testing.assert_allclose(angles[-1], [0.0, given], atol=1e-9)
 
 
 def test_the_state_has_the_uncertainty_of_the_slopes() -> None:

@@ -43,23 +43,6 @@ def test_the_autoregression_of_each_row_is_found() -> None:
     np.testing.assert_allclose(variance, SPREAD**2, rtol=0.15)
 
 
-@pytest.mark.parametrize("m", [1, 2, 5, 200])
-def test_with_the_true_weights_the_innovations_come_back(m: int) -> None:
-    """Each signal of a row goes through the model of that row, however many come at once."""
-    coloured, expected = residuals(200)
-    model, out = NoiseModel(3), []
-    for part in np.split(coloured, 200 // m):
-        model.weights = WEIGHTS
-        model._since_fit = -1e9  # no fit: the weights are to stay
-        out.append(whiten(model, part))
-    white = RowSamples.join(out, len(coloured))
-    np.testing.assert_array_equal(white.signals[:, :ORDER], 0.0)
-    np.testing.assert_allclose(white.residual[:, ORDER:], expected[ORDER:].T, atol=1e-12)
-    np.testing.assert_allclose(white.y, 2.0 * white.residual, atol=1e-12)
-    for part in (white.f, white.z):
-        np.testing.assert_allclose(part[0, :, 1], -3.0 * white.residual[0], atol=1e-12)
-
-
 def test_a_new_stretch_does_not_continue_the_old_one() -> None:
     model = NoiseModel(3)
     whiten(model, residuals(100)[0])

@@ -6,26 +6,9 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import flying
 import numpy as np
 import pytest
-from flying import (
-    AMPLITUDES,
-    DOMINANT,
-    SURFACES,
-    errors,
-    excited,
-    fresh,
-    identified,
-    light_errors,
-    light_measured,
-    measured,
-    messages,
-    run,
-    settings,
-    since,
-    stiff_autopilot,
-    worst,
-)
 from light_aircraft import TRUTH
 from verdict_flights import warm_start
 
@@ -42,25 +25,25 @@ STRUCTURE = "throttle_coupled"
 @cache
 def learned() -> CoefficientSet:
     """What the first flight has taught."""
-    return identified(excited(), structure=STRUCTURE)[0].coefficient_set()
+    return flying.identified(flying.excited(), structure=STRUCTURE)[0].coefficient_set()
 
 
 def warm(**changes: Any) -> OnlineIdentifier:
-    identifier = fresh(**changes)
+    identifier = flying.fresh(**changes)
     identifier.resume(learned())
     return identifier
 
 
 def test_it_goes_on_with_the_values_as_good_as_they_were_and_is_soon_usable() -> None:
-    m = measured(5.5, segments=(Segment("multisine", amplitudes=AMPLITUDES, seed=7),))
-    before = worst(errors(learned().values, STRUCTURE, m.flight, DOMINANT))
-    estimates = run(warm(), messages(m))
+    m = flying.measured(5.5, segments=(Segment("multisine", amplitudes=flying.AMPLITUDES, seed=7),))
+    before = flying.worst_error(learned().values, m.flight)
+    estimates = flying.run(warm(), flying.messages(m))
     last = estimates[-1]
     assert np.array_equal(estimates[0].coefficients, learned().values)
     assert last.usable, last.reason
     for estimate in estimates:
-        assert worst(errors(estimate.coefficients, STRUCTURE, m.flight, DOMINANT)) < before + 0.15
-    cold = run(fresh(), messages(m))[-1]
+        assert flying.worst_error(estimate.coefficients, m.flight) < before + 0.15
+    cold = flying.run(flying.fresh(), flying.messages(m))[-1]
     assert (last.fit > cold.fit + 5.0).all()
 
 
@@ -78,13 +61,13 @@ def test_what_is_fixed_keeps_its_initial_value() -> None:
 
 def test_the_delay_that_was_found_is_kept_only_where_it_is_estimated() -> None:
     for estimate, wanted in ((True, 0.06), (False, 0.02)):
-        identifier = fresh(actuators__estimate_delay=estimate, actuators__delay=0.02)
+        identifier = flying.fresh(actuators__estimate_delay=estimate, actuators__delay=0.02)
         identifier.resume(learned(), delay=0.06)
         assert identifier.delay == wanted
 
 
 def test_wrong_coefficients_are_refused_and_change_nothing() -> None:
-    identifier = fresh()
+    identifier = flying.fresh()
     huge = replace(learned(), values=learned().values * 1e9)
     other = CoefficientSet("baseline", learned().values, learned().sigma)
     for wrong in (huge, other):
@@ -94,10 +77,10 @@ def test_wrong_coefficients_are_refused_and_change_nothing() -> None:
 
 
 def test_how_it_learns_and_how_signals_are_made_may_change_and_the_coefficients_go_on() -> None:
-    stream = messages(excited())
+    stream = flying.messages(flying.excited())
     half = len(stream) // 2
-    before = run(flown := fresh(), stream[:half])[-1]
-    unchanged = run(deepcopy(flown), stream[half : half + 1000])[-1]
+    before = flying.run(flown := flying.fresh(), stream[:half])[-1]
+    unchanged = flying.run(deepcopy(flown), stream[half : half + 1000])[-1]
     for name, value in (
         ("actuators.delay", 0.08),
         ("actuators.time_constant", 0.05),
@@ -112,32 +95,32 @@ def test_how_it_learns_and_how_signals_are_made_may_change_and_the_coefficients_
         assert np.array_equal(identifier.coefficient_set().values, before.coefficients), name
         free = sigma > 0.0
         assert (identifier.coefficient_set().sigma[free] > sigma[free]).all(), "it is trusted less"
-        first, *_, last = run(identifier, stream[half : half + 1000])
+        first, *_, last = flying.run(identifier, stream[half : half + 1000])
         assert np.array_equal(first.coefficients, before.coefficients), name
         assert first.t_ns - before.t_ns < 1_000_000_000
         assert not np.array_equal(last.coefficients, before.coefficients), name
     flown.reconfigure(Settings.from_values({**flown.settings.values(), "forgetting_time": 20.0}))
-    last = run(flown, stream[half : half + 1000])[-1]
+    last = flying.run(flown, stream[half : half + 1000])[-1]
     assert not np.array_equal(last.coefficients, unchanged.coefficients)
 
 
 def test_a_delay_that_is_corrected_in_flight_mends_the_coefficients() -> None:
-    flight, stream = excited().flight, messages(excited())
+    flight, stream = flying.excited().flight, flying.messages(flying.excited())
     part = len(stream) // 4
-    right = settings(excited()).actuators.delay
-    wrong = fresh(actuators__delay=right + 0.1)
-    first = run(wrong, stream[:part])[-1]
-    astray = worst(errors(first.coefficients, STRUCTURE, flight, DOMINANT))
+    right = flying.settings(flying.excited()).actuators.delay
+    wrong = flying.fresh(actuators__delay=right + 0.1)
+    first = flying.run(wrong, stream[:part])[-1]
+    astray = flying.worst_error(first.coefficients, flight)
     assert astray > 0.3
     values = wrong.settings.values()
     wrong.reconfigure(Settings.from_values({**values, "actuators.delay": right}))
-    last = run(wrong, stream[part:])[-1]
-    assert worst(errors(last.coefficients, STRUCTURE, flight, DOMINANT)) < 0.3 * astray
+    last = flying.run(wrong, stream[part:])[-1]
+    assert flying.worst_error(last.coefficients, flight) < 0.3 * astray
     assert last.usable, last.reason
 
 
 def test_settings_that_may_not_change_are_refused_by_name() -> None:
-    identifier = fresh()
+    identifier = flying.fresh()
     before = identifier.settings
     values = {**before.values(), "forgetting_time": 50.0, "update_rate": 10.0}
     with pytest.raises(SettingsError, match=r"'update_rate' cannot change in flight"):
@@ -156,31 +139,33 @@ def told(factor: float) -> CoefficientSet:
 def turning() -> Measurements:
     """Turns of the light aircraft, excited."""
     imu = {"rate": 200.0}
-    return light_measured(45.0, SURFACES, sensors=imu, noise_seed=1, bank=20.0, delay=0.02)
+    return flying.light_measured(
+        45.0, flying.SURFACES, sensors=imu, noise_seed=1, bank=20.0, delay=0.02
+    )
 
 
 @pytest.mark.parametrize("factor", [0.4, 1.7])
 def test_a_start_from_another_aircraft_is_left_and_named(factor: float) -> None:
     """All alike: what it leaves unexplained follows the inputs, as an autopilot's answers do."""
-    flown, (*_, last) = identified(turning(), told(factor))
+    flown, (*_, last) = flying.identified(turning(), told(factor))
     wrong = {change.name for change in flown.supervisor.changed}
     assert wrong == {"pdot/da", "qdot/de", "rdot/dr"}
-    assert (light_errors(last, *wrong)[0] < 0.1).all()
+    assert (flying.light_errors(last, *wrong)[0] < 0.1).all()
     for name in wrong:
         sigma = last.sigma[STRUCTURES["flight_dynamics"].index(name)]
         assert sigma < 0.25 * abs(TRUTH[name])
 
 
 def test_the_verdict_waits_as_after_a_cold_start_where_the_start_was_wrong() -> None:
-    flown, estimates = identified(turning(), told(1.7))
+    flown, estimates = flying.identified(turning(), told(1.7))
     told_wrong = next(change for change in flown.supervisor.changed if change.told_wrong)
     first = told_wrong.t - estimates[0].t_ns * 1e-9
     assert first < 20.0
-    assert not any(e.usable for e in since(estimates, first + 0.1, 29.0))
+    assert not any(e.usable for e in flying.since(estimates, first + 0.1, 29.0))
 
 
 def test_a_right_start_stays_where_an_autopilot_answers_gusts() -> None:
     """Alone the flight would find half of the aileron."""
-    flown, (*_, last) = identified(stiff_autopilot(60.0, seed=1), told(1.0))
+    flown, (*_, last) = flying.identified(flying.stiff_autopilot(60.0, seed=1), told(1.0))
     assert flown.supervisor.changed == []
-    assert light_errors(last, "pdot/da")[0] < 0.05
+    assert flying.light_errors(last, "pdot/da")[0] < 0.05
