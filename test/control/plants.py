@@ -34,13 +34,15 @@ def coefficients(effect: FloatArray | float = 1.0, t_ns: int = START) -> Coeffic
 
 
 def controller(
-    law: Law = IncrementalLaw, speed: float = 1.0, **options: bool
+    law: Law = IncrementalLaw, speed: float = 1.0, told: int = DELAY_STEPS, **options: bool
 ) -> tuple[RateController, CoefficientSource]:
-    """Return a controller with the healthy set as its nominal one, and what feeds it."""
+    """Return a controller with the healthy set as its nominal one, and what feeds it.
+
+    Its loop is so many times as fast as usual, and so many steps of delay are told.
+    """
     nominal = coefficients()
     source = CoefficientSource(Fallback.LAST_GOOD, nominal)
-    delay = DELAY_STEPS * DT_NS * 1e-9
-    gains = law.gains.times(speed)
+    gains, delay = law.gains.times(speed), told * DT_NS * 1e-9
     return RateController(source, nominal, LIMITS, delay, law, gains=gains, **options), source
 
 

@@ -8,7 +8,7 @@ import pytest
 from plants import LIMITS, START, STRUCTURE, coefficients, controller, flown
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
-from uav_ident_ros.control import AxisChoice, Effectiveness, IncrementalLaw, RateController
+from uav_ident_ros.control import AxisChoice, Effectiveness
 from uav_ident_ros.control.effectiveness import SURE
 from uav_ident_ros.identification.structure import FloatArray
 
@@ -123,39 +123,31 @@ def test_a_halved_effect_is_flown_on_before_it_is_learned() -> None:
     assert flying.effect.values[0, 2] == pytest.approx(0.5 * 29.5, rel=0.25)
 
 
+def lively(t: float) -> FloatArray:
+    return turns(t) + 0.3 * manoeuvre(t)
+
+
 @pytest.mark.parametrize(("steps", "speed"), [(0, 2.3), (6, 1.0), (8, 2.3)])
 def test_a_wrongly_configured_delay_is_found_and_not_taken_for_another_effect(
     steps: int, speed: float
 ) -> None:
     """Told two steps. What is measured never makes the loop worse; what rings is mended."""
-    t = np.arange(1200) * 0.01
-    wanted = np.array([turns(s) + 0.3 * manoeuvre(s) for s in t])
-    late = slice(600, None)
-
-    def flight(adaptive: bool) -> tuple[RateController, float]:
+    wanted, errors = np.array([lively(0.01 * k) for k in range(1200)]), {}
+    for adaptive in (False, True):
         flying, _ = controller(speed=speed, adaptive=adaptive)
-        rates = flown(
-            flying, 1.0, lambda s: turns(s) + 0.3 * manoeuvre(s), 12.0, noise=0.005,
-            delay_steps=steps,
-        )  # fmt: skip
-        return flying, float(np.sqrt(np.mean((rates - wanted)[late] ** 2)))
-
-    (flying, error), (_, fixed) = flight(True), flight(False)
-    assert error < 1.35 * fixed
+        rates = flown(flying, 1.0, lively, 12.0, noise=0.005, delay_steps=steps)
+        errors[adaptive] = np.sqrt(np.mean((rates - wanted)[600:] ** 2))
+    assert errors[True] < 1.35 * errors[False]
     if steps == 8:
         assert flying.delay.delay == pytest.approx(0.08, abs=0.011)
-    if (steps, speed) == (8, 2.3):
-        assert error < 0.3 * fixed  # which rings
+        assert errors[True] < 0.3 * errors[False]  # which rings
     assert (np.abs(flying.effect.share - 1.0) < 0.35).all()
 
 
 @pytest.mark.parametrize(("told", "true"), [(6, 2), (5, 2), (6, 6), (2, 2)])
 def test_a_delay_told_too_long_is_found_and_a_right_one_stays(told: int, true: int) -> None:
-    nominal = coefficients()
-    source = CoefficientSource(Fallback.LAST_GOOD, nominal)
-    gains = IncrementalLaw.gains.times(1.5)
-    flying = RateController(source, nominal, LIMITS, told * 0.01, gains=gains)
-    flown(flying, 1.0, lambda s: turns(s) + 0.3 * manoeuvre(s), 12.0, noise=0.005, delay_steps=true)
+    flying, _ = controller(speed=1.5, told=told)
+    flown(flying, 1.0, lively, 12.0, noise=0.005, delay_steps=true)
     assert flying.delay.delay == pytest.approx(0.01 * true, abs=0.011)
     assert (np.abs(flying.effect.share - 1.0) < 0.35).all()
 

@@ -281,36 +281,47 @@ def test_evidence_is_held_and_then_forgotten() -> None:
 STRUCTURE = STRUCTURES["augmented"]
 
 
-def coefficients(**changes: float) -> FloatArray:
-    values = {"pdot_da": 45.0, "pdot_dr": 3.0, "qdot_de": -30.0, "rdot_dr": -9.0, "rdot_da": -1.5}
-    named = {name.replace("_", "/"): value for name, value in {**values, **changes}.items()}
-    return matrix(STRUCTURE, named)
-
-
-SWAPPED = {"pdot_da": 3.0, "pdot_dr": 45.0, "rdot_dr": -1.5, "rdot_da": -9.0}
+RIGHT = {"pdot/da": 45.0, "pdot/dr": 3.0, "qdot/de": -30.0, "rdot/dr": -9.0, "rdot/da": -1.5}
+SWAPPED = RIGHT | {"pdot/da": 3.0, "pdot/dr": 45.0, "rdot/dr": -1.5, "rdot/da": -9.0}
+REVERSED = RIGHT | {"pdot/da": -45.0}
 
 
 @pytest.mark.parametrize(
-    ("changes", "sigma", "name"),
+    ("values", "sigma", "name"),
     [
-        ({}, 1.0, None),
-        ({"pdot_da": -45.0}, 1.0, "signs"),
-        ({"pdot_da": -45.0}, 10.0, "signs"),
-        ({"pdot_da": -45.0}, 16.0, None),
-        ({"rdot_dr": 9.0}, 1.0, "signs"),
+        (RIGHT, 1.0, None),
+        (REVERSED, 1.0, "signs"),
+        (REVERSED, 10.0, "signs"),
+        (REVERSED, 16.0, None),
+        (RIGHT | {"rdot/dr": 9.0}, 1.0, "signs"),
         (SWAPPED, 1.0, "swapped"),
         (SWAPPED, 9.0, "swapped"),
         (SWAPPED, 11.0, None),
-        ({"pdot_dr": 60.0}, 1.0, None),  # a rudder that rolls, and yaws as a rudder does
+        (RIGHT | {"pdot/dr": 60.0}, 1.0, None),  # a rudder that rolls, and yaws as a rudder does
     ],
 )
 def test_reversed_and_swapped_channels_are_named_once_that_is_sure(
-    changes: dict[str, float], sigma: float, name: str | None
+    values: dict[str, float], sigma: float, name: str | None
 ) -> None:
     spread = np.full(STRUCTURE.mask.shape, sigma)
     expected = ("+pdot/da", "-rdot/dr")
-    found = coefficient_finding(STRUCTURE, coefficients(**changes), spread, expected)
+    found = coefficient_finding(STRUCTURE, matrix(STRUCTURE, values), spread, expected)
     assert (found.name if found else None) == name
+
+
+class Learning:
+    """What is told of an aircraft by what is learned of it."""
+
+    def __init__(self, **given: Any) -> None:
+        expected = {"supervision__expected_signs": ("+pdot/da",)}
+        self.looker = Plausibility(settings_of(structure="augmented", **expected, **given))
+
+    def found(self, t: float, values: dict[str, float], sigma: float) -> list[str]:
+        """What is found at a time by what was learned until then."""
+        nothing = np.zeros((0, 6))
+        self.looker.look(t, nothing, nothing[:, :4])
+        self.looker.judge(matrix(STRUCTURE, values), np.full(STRUCTURE.mask.shape, sigma))
+        return [finding.name for finding in self.looker.findings]
 
 
 QUAD = {  # four motors, which lift it and turn it
@@ -329,46 +340,36 @@ QUAD = {  # four motors, which lift it and turn it
     ],
 )
 def test_a_multirotor_has_no_surfaces(given: dict[str, Any], swapped: str, reversed_: str) -> None:
-    expected = {"supervision__expected_signs": ("+pdot/da",)}
-    for changes, words in ((SWAPPED, swapped), ({"pdot_da": -45.0}, reversed_)):
-        looker = Plausibility(settings_of(structure="augmented", **given, **expected))
-        judged(looker, 1.0, coefficients(**changes), 1.0)
-        judged(looker, 6.0, coefficients(**changes), 1.0)
-        assert words in looker.fault
-
-
-def judged(looker: Plausibility, t: float, values: FloatArray, sigma: float) -> list[str]:
-    """What is found at a time by what was learned until then."""
-    nothing = np.zeros((0, 6))
-    looker.look(t, nothing, nothing[:, :4])
-    looker.judge(values, np.full(STRUCTURE.mask.shape, sigma))
-    return [finding.name for finding in looker.findings]
+    for values, words in ((SWAPPED, swapped), (REVERSED, reversed_)):
+        learning = Learning(**given)
+        for t in (1.0, 6.0):
+            learning.found(t, values, 1.0)
+        assert words in learning.looker.fault
 
 
 def test_a_doubt_stays_until_it_is_the_less_likely() -> None:
     """Three sigma raise it; evidence that dips below them does not begin it anew."""
-    looker, swapped = Plausibility(settings_of(structure="augmented")), coefficients(**SWAPPED)
+    learning = Learning()
     for t, values, sigma, named in (
-        (1.0, swapped, 9.0, []),
-        (3.0, swapped, 15.0, []),
-        (5.5, swapped, 9.0, ["swapped"]),
-        (6.0, coefficients(), 9.0, []),
-        (7.0, swapped, 15.0, []),
-        (12.0, swapped, 15.0, []),
-        (13.0, swapped, 9.0, []),
-        (18.0, swapped, 15.0, []),  # once is chance: nobody is accused by what may be noise
-        (18.5, swapped, 9.0, ["swapped"]),
-        (25.0, swapped, 50.0, ["swapped"]),
+        (1.0, SWAPPED, 9.0, []),
+        (3.0, SWAPPED, 15.0, []),
+        (5.5, SWAPPED, 9.0, ["swapped"]),
+        (6.0, RIGHT, 9.0, []),
+        (7.0, SWAPPED, 15.0, []),
+        (12.0, SWAPPED, 15.0, []),
+        (13.0, SWAPPED, 9.0, []),
+        (18.0, SWAPPED, 15.0, []),  # once is chance: nobody is accused by what may be noise
+        (18.5, SWAPPED, 9.0, ["swapped"]),
+        (25.0, SWAPPED, 50.0, ["swapped"]),
     ):
-        assert judged(looker, t, values, sigma) == named, t
+        assert learning.found(t, values, sigma) == named, t
 
 
 def test_a_reversed_surface_is_named_with_the_evidence_by_which_it_was_sure() -> None:
-    given = {"structure": "augmented", "supervision__expected_signs": ("+pdot/da",)}
-    looker = Plausibility(settings_of(**given))
+    learning = Learning()
     for t, sigma in ((1.0, 3.0), (6.0, 4.0), (7.0, 400.0)):
-        judged(looker, t, coefficients(pdot_da=-45.0), sigma)
-    assert looker.fault.startswith("pdot/da is -45 +- 4, expected is +")
+        learning.found(t, REVERSED, sigma)
+    assert learning.looker.fault.startswith("pdot/da is -45 +- 4, expected is +")
 
 
 def test_an_unknown_expected_sign_is_refused() -> None:
