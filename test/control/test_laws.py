@@ -10,19 +10,17 @@ from plants import (
     LIMITS,
     START,
     STEP,
-    STRUCTURE,
     a_sample_later,
     coefficients,
     controller,
     flown,
 )
 
-from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
-from uav_ident_ros.control import LAWS, Effectiveness, IncrementalLaw
+from uav_ident_ros.client import Coefficients, CoefficientSource
+from uav_ident_ros.control import LAWS, IncrementalLaw
 from uav_ident_ros.control.allocation import authority
 from uav_ident_ros.control.controller import Law
 from uav_ident_ros.control.reference import Smoother
-from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import SIDESLIP_RATE, rolls_over, yaw_for_roll
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
@@ -65,29 +63,24 @@ def test_a_dead_surface_leaves_the_other_axes_whole(law: Law, lost: int) -> None
     np.testing.assert_allclose(rates[-1, others], STEP[others], atol=0.01)
 
 
-def test_a_dead_axis_is_distinguished_from_a_weak_one() -> None:
-    def swaying(t: float) -> FloatArray:
-        return STEP * np.sin(2.0 * t)
+def swaying(t: float) -> FloatArray:
+    return STEP * np.sin(2.0 * t)
 
-    for factor, dead in ((0.0, True), (0.5, False), (1.0, False)):
-        effect = np.array([1.0, 1.0, factor, 1.0])
-        flying, _ = controller()
-        flown(flying, effect, swaying, seconds=6.0, noise=0.002)
-        assert flying.effectiveness.dead.tolist() == [dead, False, False]
+
+@pytest.mark.parametrize(("factor", "dead"), [(0.0, True), (0.5, False), (1.0, False)])
+def test_a_dead_axis_is_distinguished_from_a_weak_one(factor: float, dead: bool) -> None:
+    flying, _ = controller()
+    flown(flying, np.array([1.0, 1.0, factor, 1.0]), swaying, seconds=6.0, noise=0.002)
+    assert flying.effectiveness.dead.tolist() == [dead, False, False]
 
 
 def test_a_repaired_surface_is_no_longer_dead() -> None:
-    effect, x, found = coefficients().values[:3, INPUT_COLUMNS], np.zeros(3), []
-    measured, response = Effectiveness(), Response()
-    damping = dict.fromkeys(("pdot/p", "qdot/q", "rdot/r"), -3.0)
-    model = AttitudeModel(STRUCTURE, matrix(STRUCTURE, damping), STRUCTURE.mask)
-    for k in range(1200):
-        acting = 0.05 * np.sin(np.array([2.0, 3.0, 2.5, 0.0]) * 0.01 * k)
-        alive = np.array([1.0, 1.0, 0.0 if 300 <= k < 700 else 1.0, 1.0])
-        x = x + 0.01 * (effect @ (alive * acting) - 3.0 * x)
-        if response.update(x, effect, acting[None], 0.01, model):
-            measured.update(response.answered[0], response.made[0], 0.01)
-        found.append(bool(measured.dead[0]))
+    flying, _ = controller()
+    found: list[bool] = []
+    flown(
+        flying, lambda t: np.array([1.0, 1.0, 0.0 if 3.0 <= t < 7.0 else 1.0, 1.0]), swaying,
+        seconds=12.0, each=lambda _: found.append(bool(flying.effectiveness.dead[0])),
+    )  # fmt: skip
     assert [found[k] for k in (299, 690, 1199)] == [False, True, False]
 
 
