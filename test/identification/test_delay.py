@@ -159,6 +159,14 @@ def test_inputs_that_come_seldom_are_held_too_long_and_a_line_mends_it() -> None
     assert (flying.light_errors(joined, "pdot/da", "qdot/de")[0] < 0.15).all()
 
 
+def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
+    flight = flying.plant_flight(45.0, delay=0.06)
+    identifier = found(flight, Sensors(), structure="throttle_coupled")
+    assert identifier.delay == pytest.approx(0.06, abs=0.005)
+    assert identifier.delay_confidence == "sure"
+    assert flying.worst_error(identifier.estimator.coefficients, flight) < 0.05
+
+
 def test_what_was_learned_with_another_delay_counts_for_a_second() -> None:
     """Its sigma grows by the root of that and a little, since few seconds have told the scatter.
 
