@@ -37,23 +37,18 @@ def parser(text: str | None, **options: Any) -> argparse.ArgumentParser:
     return found
 
 
-def each(function: Callable[[Job], Result], jobs: Iterable[Job], workers: int) -> Iterator[Result]:
-    """Yield the result of every job, in their order, as processes of their own give them."""
-    with get_context("spawn").Pool(workers) as pool:
-        yield from pool.imap(function, jobs)
-
-
 def done(
     function: Callable[[Job], Result],
     jobs: Iterable[Job],
     workers: int,
     printed: Callable[[Result], object] = str,  # The line on a result
 ) -> list[Result]:
-    """Return the result of every job, with a line on each as it comes."""
+    """Return the results of all jobs, by processes of their own; a line on each as it comes."""
     results = []
-    for result in each(function, jobs, workers):
-        print(printed(result), flush=True)
-        results.append(result)
+    with get_context("spawn").Pool(workers) as pool:
+        for result in pool.imap(function, jobs):
+            print(printed(result), flush=True)
+            results.append(result)
     return results
 
 

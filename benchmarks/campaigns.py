@@ -292,30 +292,27 @@ def _change_of(job: Job) -> Result:
         new = float(cases.truth_in(track.structure, flight, when + 1.0)[i, j])
     else:
         new = 0.5 * float(old[i, j])
-    found = [t - when for t, row, column in track.changes if (row, column) == (i, j) and t > when]
+    found = [t - when for t, name in track.changes if name == primary and t > when]
     off = np.flatnonzero(np.abs(track.coefficients[begin:, i, j] / new - 1.0) > 0.15)
     last = begin + int(off[-1]) + 1
     others = [n for n in cases.DOMINANT if n != primary]
     where = _index(track.structure, others)
     allowed = np.maximum(2.0 * track.sigma[begin][where], 0.1 * np.abs(old[where]))
     moved = (np.abs(track.coefficients[begin:, *where] - old[where]) / allowed).max(axis=0)
-    watched = {name for change in flight.changes for name in change.factors}
-    own = {track.structure.index(n) for n in watched & set(track.structure.names)} or {
-        (row, j) for row in range(3)
-    }
+    own = {name for change in flight.changes for name in change.factors}
+    own = own or {track.structure.names[track.structure.free.index((k, j))] for k in range(3)}
     return what | {
         "noticed": min(found, default=np.inf),
         "followed": float(track.time[last] - when) if last < len(track.time) else np.inf,
         "moved": float(moved.max()),
         "mover": others[int(moved.argmax())],
-        "false": sum((row, column) not in own for _, row, column in track.changes),
-        "changes": _named(track),
+        "false": sum(name not in own for _, name in track.changes),
+        "changes": _rounded(track),
     }
 
 
-def _named(track: cases.Track) -> list[tuple[float, str]]:
-    names, free = track.structure.names, track.structure.free
-    return [(round(t, 1), names[free.index((row, column))]) for t, row, column in track.changes]
+def _rounded(track: cases.Track) -> list[tuple[float, str]]:
+    return [(round(t, 1), name) for t, name in track.changes]
 
 
 def alarms(seeds: int, workers: int) -> list[Result]:
@@ -329,7 +326,7 @@ def alarms(seeds: int, workers: int) -> list[Result]:
 
 def _alarms_of(job: Job) -> Result:
     _, track, what = _flown(job)
-    return what | {"changes": _named(track)}
+    return what | {"changes": _rounded(track)}
 
 
 # -- cost ----------------------------------------------------------------------------------

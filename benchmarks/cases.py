@@ -196,7 +196,7 @@ class Track:
     sigma: FloatArray
     learning: NDArray[np.bool_]  # (K, 3) Rows that learned
     delay: FloatArray  # (K,) Delay in use, s
-    changes: list[tuple[float, int, int]]  # Releases of changed coefficients
+    changes: list[tuple[float, str]]  # When a changed coefficient was released, s, and which
     flow: FloatArray | None = None  # As `Published` has it
 
     def constant(self, coefficients: FloatArray) -> Track:
@@ -232,14 +232,11 @@ def identify(
     start = int(m.imu_t_ns[0])
     end = m.imu_log_ns[-1] if np.isinf(until) else start + round(until * 1e9)
     estimates, learning, delays = [], [], []
-    changes: list[tuple[float, int, int]] = []
     arrived = takewhile(lambda message: message.arrival_ns <= end, case.messages(identifier))
     for estimate in fed(identifier, arrived):
         estimates.append(estimate)
         learning.append(identifier.supervisor.learning)
         delays.append(identifier.delay)
-        for change in identifier.supervisor.changed[len(changes) :]:
-            changes.append((change.t - start * 1e-9, *identifier.structure.index(change.name)))
     t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
     return Track(
         settings=settings,
@@ -249,7 +246,7 @@ def identify(
         sigma=np.array([estimate.sigma for estimate in estimates]),
         learning=np.array(learning),
         delay=np.array(delays),
-        changes=changes,
+        changes=[(c.t - start * 1e-9, c.name) for c in identifier.supervisor.changed],
         flow=Published.of(estimates, identifier.structure).flow,
     )
 

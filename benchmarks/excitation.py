@@ -12,7 +12,7 @@ derivatives.
 nobody excites. ``--untold``, too: its identifier is told neither delay nor lag of the motors.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -208,21 +208,20 @@ def lose_a_motor(seed: int, *, untold: bool) -> dict[str, Any]:
     return out
 
 
-def quadrotor_lines(found: Iterable[dict[str, Any]]) -> Iterator[str]:
-    """Yield a line for each flight of the quadrotor."""
-    for one in found:
-        noticed = ", ".join(f"{name} {t:.1f} s" for name, t in one["changes"].items())
-        errors = [
-            " / ".join(f"{name} {100 * e:.0f}" for name, e in one[when].items())
-            for when in ("before", "after")
-        ]
-        tracking = [" / ".join(f"{v:.1f}" for v in part) for part in one["tracking"]]
-        yield (
-            f"seed {one['seed']}: {one['run']}; delay {1e3 * one['delay']:.0f} ms, "
-            f"lag {1e3 * one['lag']:.0f} ms; errors before {errors[0]} %, {RELEARNED:g} s after "
-            f"{errors[1]} %; noticed: {noticed}; rms p / q / r {tracking[0]}, from the third "
-            f"second on {tracking[1]} deg/s"
-        )
+def quadrotor_line(one: dict[str, Any]) -> str:
+    """Return a line for a flight of the quadrotor."""
+    noticed = ", ".join(f"{name} {t:.1f} s" for name, t in one["changes"].items())
+    errors = [
+        " / ".join(f"{name} {100 * e:.0f}" for name, e in one[when].items())
+        for when in ("before", "after")
+    ]
+    tracking = [" / ".join(f"{v:.1f}" for v in part) for part in one["tracking"]]
+    return (
+        f"seed {one['seed']}: {one['run']}; delay {1e3 * one['delay']:.0f} ms, "
+        f"lag {1e3 * one['lag']:.0f} ms; errors before {errors[0]} %, {RELEARNED:g} s after "
+        f"{errors[1]} %; noticed: {noticed}; rms p / q / r {tracking[0]}, from the third "
+        f"second on {tracking[1]} deg/s"
+    )
 
 
 HEAD = (
@@ -261,8 +260,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.quadrotor:
         lost = partial(lose_a_motor, untold=options.untold)
-        flown = bench.each(lost, range(options.seeds), options.workers)
-        print(*quadrotor_lines(flown), sep="\n")
+        bench.done(lost, range(options.seeds), options.workers, quadrotor_line)
         return
     jobs = [
         (severity, seed, excited)

@@ -150,7 +150,6 @@ class Campaign:
         self._question = GetParameters.Request(names=["update_rate"])
         self._may_reset = True
         self._unheard: Counter[str] = Counter()
-        self._shift_ns = 0
         self.now_ns = 0
         self._flight = self._load_flight()
         self._hostile = {t: Hostile(kind, self.chance) for t, kind in self._types.items()}
@@ -235,12 +234,12 @@ class Campaign:
     ) -> None:
         """Play the beginning of the flight, stamped from where the last one ended on."""
         start = self._flight[0][0]
-        self._shift_ns = self.now_ns + SECOND_NS // 20 - start if self.now_ns else 0
+        shift_ns = self.now_ns + SECOND_NS // 20 - start if self.now_ns else 0
         clock_ns = 0
         for t_ns, topic, data in self._flight:
             if t_ns - start > seconds * SECOND_NS:
                 break
-            self.now_ns = t_ns + self._shift_ns
+            self.now_ns = t_ns + shift_ns
             if self.now_ns - clock_ns >= SECOND_NS // 100:
                 clock_ns = self.now_ns
                 self.player.send_clock(clock_ns)

@@ -44,11 +44,6 @@ def definitions() -> dict[str, dict[str, Any]]:
     return {name: value for name, value in content.items() if not name.startswith(".")}
 
 
-def names(prefix: str = "") -> tuple[str, ...]:
-    """Names of the flights that begin with `prefix`."""
-    return tuple(name for name in definitions() if name.startswith(prefix))
-
-
 def definition(name: str) -> dict[str, Any]:
     """Return the definition of one flight."""
     try:
@@ -159,7 +154,7 @@ def main() -> None:
     parser = bench.parser(__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="flights to fly (none)")
     wanted = parser.parse_args().names
-    for name in wanted or names():
+    for name in wanted or definitions():
         try:
             own = definition(name)
         except SimulationError as error:

@@ -69,27 +69,33 @@ class Mission:
 class Outcome:
     """What came of it."""
 
-    time: FloatArray  # (N,) Of the samples, s
-    # rates, reference: (N, 3) True and wanted p, q, r, rad/s
-    rates: FloatArray
-    reference: FloatArray
-    outputs: FloatArray  # (N, 4) What the actuators were told
-    # (time, tuple of bool) The verdicts of roll, pitch and yaw by tick, s
+    # The verdicts of roll, pitch and yaw by tick, s; what speaks against the coefficients, empty
+    # for nothing; coefficients that the identifier released; and whose control derivatives each
+    # axis was flown on, whenever that changed
     usable: list[tuple[float, tuple[bool, bool, bool]]] = field(default_factory=list)
-    # (time, why) What speaks against the coefficients by tick, s; empty for nothing
     denied: list[tuple[float, str]] = field(default_factory=list)
-    # Coefficients that the identifier released, s
     changes: list[tuple[float, str]] = field(default_factory=list)
-    # (time, tuple) Whose control derivatives each axis was flown on, whenever that changed
     sources: list[tuple[float, tuple[str, ...]]] = field(default_factory=list)
     lost: float | None = None  # When the aircraft was lost, s
+    samples: list[Sample] = field(default_factory=list)
+    wanted: list[FloatArray] = field(default_factory=list)  # (3,) p, q, r at each, rad/s
+
+    @property
+    def time(self) -> FloatArray:
+        """Times of the samples, s, shape (N,)."""
+        return np.array([sample.time for sample in self.samples])
+
+    @property
+    def rates(self) -> FloatArray:
+        """True p, q, r, rad/s, shape (N, 3)."""
+        return np.array([sample.rates for sample in self.samples])
 
     def error(self, start: float, end: float) -> FloatArray:
         """Rms of true rates minus reference from `start` to `end` (s), shape (3,), deg/s."""
         inside = (self.time >= start) & (self.time < end)
         if not inside.any():
             return np.full(3, np.nan)
-        mean = np.mean((self.rates - self.reference)[inside] ** 2, axis=0)
+        mean = np.mean((self.rates - np.array(self.wanted))[inside] ** 2, axis=0)
         return np.asarray(np.degrees(np.sqrt(mean)))
 
 
@@ -186,8 +192,7 @@ def fly_loop(
     source = CoefficientSource(Fallback.LAST_GOOD, nominal_of(prepared))
     controller = make(source)
     rng = np.random.default_rng(mission.seed)
-    nothing: FloatArray = np.empty(0)
-    outcome = Outcome(nothing, nothing, nothing, nothing)
+    outcome = Outcome()
 
     def on_estimate(estimate: Estimate) -> None:
         assert loop.identifier is not None
@@ -206,7 +211,6 @@ def fly_loop(
         live, prepared.trim, guide, controller, identifier, inject, on_estimate, mission.clock,
         lambda t, x: mission.imu(t, x, rng),
     )  # fmt: skip
-    rows: list[tuple[Sample, FloatArray, FloatArray]] = []
     killed, restarted = mission.dead
     try:
         for _ in range(round(mission.duration * mission.sensors.rate)):
@@ -216,7 +220,8 @@ def fly_loop(
                 known = None if mission.cold else prepared.coefficients
                 loop.identifier = OnlineIdentifier(identifier.settings, known)
             sample, reference = loop.answer()
-            rows.append((sample, reference, live.outputs))
+            outcome.samples.append(sample)
+            outcome.wanted.append(reference)
             if loop.identifier is not None:
                 for change in loop.identifier.supervisor.changed[len(outcome.changes) :]:
                     outcome.changes.append((sample.time, change.name))
@@ -227,10 +232,6 @@ def fly_loop(
             live.advance()
     except SimulationError:
         outcome.lost = live.time
-    outcome.time = np.array([sample.time for sample, _, _ in rows])
-    outcome.rates = np.array([sample.rates for sample, _, _ in rows])
-    outcome.reference = np.array([wanted for _, wanted, _ in rows])
-    outcome.outputs = np.array([outputs for _, _, outputs in rows])
     return outcome
 
 

@@ -88,9 +88,6 @@ class Player(Guest):
             topic: self.node.create_publisher(kind, topic, DEPTH) for topic, kind in topics.items()
         }
         self._clock = StepClock(self.node, self._executor, CLOCK_PERIOD_NS, clock)
-        self._listen()
-
-    def _listen(self) -> None:
         out, name, last = self.outputs, self._node_name, latched(DEPTH)
         subscribe = self.node.create_subscription
         subscribe(JointState, f"{name}/coefficients_named", out.named.append, last)

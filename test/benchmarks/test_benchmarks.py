@@ -79,7 +79,7 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does(
     np.testing.assert_array_equal(cases.given_force(without), fits.model)
 
 
-@pytest.mark.parametrize("name", flights.names())
+@pytest.mark.parametrize("name", flights.definitions())
 def test_every_definition_can_be_flown(name: str) -> None:
     own = flights.definition(name)
     plan = flights.plan_of(own)

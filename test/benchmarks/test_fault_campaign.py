@@ -4,7 +4,6 @@
 from typing import Any
 
 import fault_campaign
-import numpy as np
 import pytest
 from loop import Outcome
 
@@ -32,9 +31,10 @@ def test_recovered_is_for_good(errors: list[float], expected: float | None) -> N
 
 
 def test_only_the_axis_concerned_and_what_comes_after_counts_as_noticed() -> None:
-    outcome = Outcome(*(np.empty(0) for _ in range(4)))
-    outcome.changes = [(3.0, "pdot/da"), (12.0, "qdot/de"), (15.0, "pdot/da")]
-    outcome.sources = [(0.0, ("nominal",) * 3), (14.0, ("measured", "nominal", "nominal"))]
+    outcome = Outcome(
+        changes=[(3.0, "pdot/da"), (12.0, "qdot/de"), (15.0, "pdot/da")],
+        sources=[(0.0, ("nominal",) * 3), (14.0, ("measured", "nominal", "nominal"))],
+    )
     assert fault_campaign.noticed(outcome, 10.0, 0) == 4.0
     assert fault_campaign.noticed(outcome, 10.0, 1) == 2.0
     assert fault_campaign.noticed(outcome, 10.0, 2) is None

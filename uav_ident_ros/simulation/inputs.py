@@ -49,6 +49,10 @@ CALM = ColouredNoise()
 INPUT_KINDS = ("multisine", "3211", "doublet", "quiet")
 """Kinds of excitation by name."""
 
+PAUSE = 2.0
+"""Quiet time after each input's pulses, s; then the next input has its turn, and after the last
+one the first again."""
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -63,9 +67,6 @@ class Segment:
     period: float = 20.0  # Period of the multisines, s
     band: tuple[float, float] = (0.1, 2.0)  # Low, high: band of the multisines, Hz
     unit: float = 0.4  # Length of the shortest pulse of a 3-2-1-1 or doublet, s
-    # Quiet time after each input's pulses, s; then the next input has its turn, and after the last
-    # one the first again
-    pause: float = 2.0
     seed: int = 0  # Seed of the multisine phases
 
     def __post_init__(self) -> None:
@@ -78,10 +79,10 @@ class Segment:
             raise SimulationError(
                 f"amplitude of unknown input '{unknown[0]}': inputs are {', '.join(INPUTS)}"
             )
-        if self.duration < 0.0 or self.unit <= 0.0 or self.pause < 0.0:
+        if self.duration < 0.0 or self.unit <= 0.0:
             raise SimulationError(
-                f"{self.kind} segment with duration {self.duration} s, unit {self.unit} s, pause "
-                f"{self.pause} s: duration and pause must not be negative, unit must be positive"
+                f"{self.kind} segment with duration {self.duration} s, unit {self.unit} s: "
+                "duration must not be negative, unit must be positive"
             )
 
     def sample(self, t: FloatArray) -> FloatArray:
@@ -105,7 +106,7 @@ class Segment:
                 return multisines(t, count, self.period, self.band, self.seed)
             except WaveformError as error:
                 raise SimulationError(str(error)) from error
-        return pulses(t, count, self.kind, self.unit, self.pause)
+        return pulses(t, count, self.kind, self.unit, PAUSE)
 
 
 def sample_inputs(segments: Sequence[Segment], t: FloatArray) -> FloatArray:
