@@ -17,9 +17,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import ARMED, RATES, Drop
+from uav_ident_ros.identification.samples import ARMED, Drop
 from uav_ident_ros.identification.speed import unmeasured
-from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.node.inputs import Input
 
 OWN_OUTPUT = "coefficients_named"
@@ -151,9 +150,8 @@ class Waiting:
 
     def reason(self, ticks: int) -> str:
         """Return what is missed after so many ticks, and what to do; empty if nothing is."""
-        newest_ns = self._identifier.intake.newest_ns
-        stamp_stood, ticks_stood = self._stamp.stood(newest_ns), self._ticks.stood(ticks)
-        self.imu_moves = stamp_stood == 0.0
+        ticks_stood = self._ticks.stood(ticks)
+        self.imu_moves = self._stamp.stood(self._identifier.intake.newest_ns) == 0.0
         lost = [self._all_dropped(own) for own in self._inputs]
         if found := self._clock_stands():
             return found
@@ -162,13 +160,6 @@ class Waiting:
             return found
         if ticks and ticks_stood <= SILENT_AFTER:
             return ""
-        # the looks at a stamp that stood for `SILENT_AFTER` are only about as far apart
-        if newest_ns is not None and stamp_stood > 0.75 * SILENT_AFTER:
-            topic = next(own.topic for own in self._inputs if own.stream.name == RATES)
-            return (
-                f"the stamps on '{topic}' stand still at {newest_ns / NS_PER_S:.3f} s: let the "
-                "source stamp each message"
-            )
         return "no tick is due any more" if ticks else "the first tick is not due yet"
 
     def _clock_stands(self) -> str:
