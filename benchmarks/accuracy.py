@@ -16,25 +16,21 @@ import bench
 import cases
 import numpy as np
 import output_error
+from free_prediction import SIMULATED
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.simulation.noise import Measurements
 
-FLIGHTS: Mapping[str, int] = {
-    "exact_noise_002": 3,
-    "exact_pulses": 3,
-    "exact_aerobatic": 3,
-    "exact_gusts_10": 3,
-    "exact_out_of_trim": 3,
-    "exact_closed_loop": 3,
-    **{
-        f"{aircraft}_{air}": 3
-        for aircraft in ("c172p", "t37", "ov10")
-        for air in ("calm", "turbulent", "banked", "unexcited")
-    },
-    "thor75_auto": 1,
-}
-"""The flights and for how many seeds each is flown; a recorded one has none."""
+FLIGHTS = (
+    "exact_noise_002",
+    "exact_pulses",
+    "exact_aerobatic",
+    "exact_gusts_10",
+    "exact_out_of_trim",
+    "exact_closed_loop",
+    *SIMULATED,
+    "thor75_auto",
+)
 
 QUICK = (
     "exact_noise_002",
@@ -123,19 +119,15 @@ def _run_adaptive(case: cases.Case, label: str, values: Mapping[str, object]) ->
         yield _cell(case, label, f"padasip {kind} {mu:g}", moved)
 
 
-def _jobs(only: str, quick: bool, seeds: int) -> list[tuple[str, int | None]]:
-    jobs: list[tuple[str, int | None]] = []
-    for name, count in FLIGHTS.items():
-        if not fnmatch.fnmatch(name, only) or (quick and name not in QUICK):
-            continue
-        if name in cases.RECORDED_DELAY:
-            if cases.is_recorded(name):
-                jobs.append((name, None))
-            else:
-                print(f"{name}: left out, ../shared/bags/{name} is not there")
-            continue
-        jobs += [(name, seed) for seed in range(1, 1 + min(count, 1 if quick else seeds))]
-    return jobs
+def _jobs(only: str, quick: bool, seeds: int) -> Iterator[tuple[str, int | None]]:
+    """Yield the flights and their seeds; a recorded one has none."""
+    for name in fnmatch.filter(QUICK if quick else FLIGHTS, only):
+        if name not in cases.RECORDED_DELAY:
+            yield from ((name, seed) for seed in range(1, 1 + (1 if quick else seeds)))
+        elif cases.is_recorded(name):
+            yield name, None
+        else:
+            print(f"{name}: left out, ../shared/bags/{name} is not there")
 
 
 Group = Sequence[Cell]
@@ -227,7 +219,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="six flights, one seed each")
     parser.add_argument("--only", default="*", metavar="PATTERN", help="flights, as in 'c172p_*'")
     options = parser.parse_args()
-    jobs = _jobs(options.only, options.quick, options.seeds)
+    jobs = list(_jobs(options.only, options.quick, options.seeds))
     if not jobs:
         parser.error(f"no flight matches '{options.only}': there are {', '.join(FLIGHTS)}")
     flown = bench.done(run_flight, jobs, options.workers, in_short)

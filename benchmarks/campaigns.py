@@ -248,12 +248,11 @@ def _quiet_of(job: Job) -> Result:
 
 # -- changes -------------------------------------------------------------------------------
 
-PRIMARY = {"elevator": "qdot/de", "aileron": "pdot/da", "rudder": "rdot/dr"}
 WATCHED = 30.0
 """Time after a change over which it is watched, s."""
 
 PLANT_CHANGES = tuple(
-    f"exact_halved_{surface}{air}" for air in ("", "_gusts_05") for surface in PRIMARY
+    f"exact_halved_{surface}{air}" for air in ("", "_gusts_05") for surface in cases.PRIMARY
 )
 AIRCRAFT_CHANGES = ("c172p_halved_elevator", "c172p_halved_aileron")
 
@@ -284,7 +283,7 @@ def _change_of(job: Job) -> Result:
     planned = flights.definition(name)
     when = float((planned.get("changes") or planned["faults"])[0]["time"])
     flight, track, what = _flown(job, when + WATCHED)
-    primary = PRIMARY[name.split("_")[2]]
+    primary = cases.PRIMARY[name.split("_")[2]]
     i, j = track.structure.index(primary)
     begin = track.at(when)
     old = track.coefficients[begin]

@@ -74,6 +74,9 @@ MODELS: Mapping[str, Mapping[str, object]] = {
 DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
 """Roll, pitch, yaw damping; aileron, elevator, rudder."""
 
+PRIMARY = {"elevator": "qdot/de", "aileron": "pdot/da", "rudder": "rdot/dr"}
+"""Of each surface the derivative that it is there for."""
+
 
 @dataclass(frozen=True, eq=False)
 class Case:

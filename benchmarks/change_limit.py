@@ -14,13 +14,13 @@ can only lessen.
 
 import math
 
+import cases
 import flights
 import numpy as np
 
 from uav_ident_ros.identification.filters import expm
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
-PRIMARY = {"elevator": "qdot/de", "aileron": "pdot/da", "rudder": "rdot/dr"}
 TIMES = (5.0, 10.0, 20.0)
 """Times after the change, s."""
 
@@ -60,7 +60,7 @@ def bound(name: str, coefficient: str, seed: int) -> FloatArray:
 def main() -> None:
     """Print a line for each surface."""
     print(f"{'flight':34}" + "".join(f"{f'after {t:g} s':>22}" for t in TIMES))
-    for surface, coefficient in PRIMARY.items():
+    for surface, coefficient in cases.PRIMARY.items():
         name = f"exact_halved_{surface}_gusts_05"
         sigma = np.median([bound(name, coefficient, s) for s in range(1, SEEDS + 1)], axis=0)
         cells = [

@@ -15,11 +15,10 @@ import bench
 import numpy as np
 from loop import Mission, fly_loop, make_identifier, rate_controller
 
-from uav_ident_ros.identification.structure import MAIN_INPUTS, STRUCTURES
+from uav_ident_ros.identification.structure import MAIN_DERIVATIVES
 from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
 
 AIRCRAFT = ("c172p", "T37", "OV10", "pa28", "A4", "ultra_stick_25e")
-MAIN = tuple(f"{row}/{surface}" for row, surface in MAIN_INPUTS.items())
 START = 30.0
 """From when on the verdict counts, s: every surface has moved by then."""
 NUMBER = re.compile(r" ?\(.*\)| -?[0-9.]+ ?%?")
@@ -41,8 +40,8 @@ def fly(flight: tuple[str, int, float, int], duration: float, airspeed: bool) ->
     outcome = fly_loop(prepared, mission, rate_controller(prepared), identifier)
     rows = np.array([rows for t, rows in outcome.usable if t >= START])
     end, known = identifier.coefficient_set(), prepared.coefficients
-    index = [STRUCTURES[known.structure].index(name) for name in MAIN]
-    ratios = " ".join(f"{end.values[i] / known.values[i]:5.2f}" for i in index)
+    kept = end.values[MAIN_DERIVATIVES] / known.values[MAIN_DERIVATIVES]
+    ratios = " ".join(f"{ratio:5.2f}" for ratio in kept)
     usable = " ".join(f"{100.0 * share:4.0f} %" for share in rows.mean(axis=0))
     reasons = Counter(
         NUMBER.sub("", reason)
