@@ -3,7 +3,9 @@
 
 import argparse
 import json
+import math
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from multiprocessing import get_context
 from pathlib import Path
@@ -66,6 +68,16 @@ def resident_mb(pid: int | str = "self") -> float:
     """Resident memory of a process, MiB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def peak_mb(pid: int | str = "self") -> float:
+    """Largest resident memory of a process so far, MiB; NaN once it has ended.
+
+    Not ru_maxrss: that begins with the memory of whoever forked it.
+    """
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
+    found = re.search(r"VmHWM:\s+(\d+) kB", status)
+    return int(found[1]) / 1024 if found else math.nan
 
 
 def keep(path: Path, figures: Any) -> None:

@@ -36,11 +36,10 @@ from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import EPOCH_NS
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live
-from uav_ident_ros.simulation.preparation import SENSORS
+from uav_ident_ros.simulation.preparation import CONFIG, SENSORS
 from uav_ident_ros.simulation.quadrotor_flight import Body, LiveQuadrotor
 from uav_ident_ros.simulation.rate_reference import NORMAL, Manoeuvres
 
-CONFIG = bench.ROOT / "config" / "closed_loop"
 AIRCRAFT = "c172p"
 SEVERITIES = {"calm": 0, "light": 1, "moderate": 2, "heavy": 4}
 """JSBSim's severities of turbulence."""

@@ -8,7 +8,6 @@ same seed gives the same files.
 import contextlib
 import io
 import multiprocessing
-import re
 import resource
 import shutil
 import signal
@@ -133,9 +132,7 @@ def judge(
     for file in (path, path.with_suffix(".yaml")):
         file.unlink(missing_ok=True)
     shutil.rmtree(path.with_suffix(".out"), ignore_errors=True)
-    # not ru_maxrss: that begins with the memory of whoever forked it
-    peak = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text(encoding="ascii"))
-    return Outcome(word, seconds, int(peak[1]) / 1024 if peak else np.nan, printed)
+    return Outcome(word, seconds, bench.peak_mb(), printed)
 
 
 def judge_in_time(job: tuple[str, str, int, str]) -> Outcome:

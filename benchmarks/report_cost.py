@@ -6,7 +6,6 @@ messages with rosbags; headless Chromium then opens the page: wall and CPU time 
 sight is drawn, and until all charts are.
 """
 
-import re
 import subprocess
 import sys
 import tempfile
@@ -33,17 +32,15 @@ RAW += ".messages(): pass"
 
 def cost(command: list[str]) -> tuple[float, float]:
     """Run a command; return its time, s, and the largest memory of its process, MB."""
-    begun, peak = time.monotonic(), 0
+    begun, peak = time.monotonic(), 0.0
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-        status = Path(f"/proc/{process.pid}/status")
         while process.poll() is None:
-            if found := re.search(r"VmHWM:\s+(\d+) kB", status.read_text(encoding="ascii")):
-                peak = max(peak, int(found[1]))
+            peak = max(peak, bench.peak_mb(process.pid))
             time.sleep(LOOK)
         errors = process.stderr.read() if process.stderr is not None else b""
     if process.returncode not in (0, 1):  # usable or not
         raise SystemExit(f"{command[0]}: {errors.decode()}")
-    return time.monotonic() - begun, peak / 1024.0
+    return time.monotonic() - begun, peak
 
 
 def opening(page: Path, profile: Path) -> tuple[float, ...]:
