@@ -48,6 +48,14 @@ def test_it_flies_on_what_was_identified(small: Prepared) -> None:
     np.testing.assert_array_equal(outcome.rates[:200], again.rates)
 
 
+def test_surfaces_stand_still_while_the_imu_is_lost(small: Prepared) -> None:
+    mission = Mission(duration=1.0, imu=lambda t, x, _: None if t > 0.5 else x)
+    outcome = fly_loop(small, mission, rate_controller(small))
+    surfaces = np.array([sample.surfaces[:3] for sample in outcome.samples])
+    assert np.ptp(surfaces[:50], axis=0).min() > 0.0
+    assert np.ptp(surfaces[55:], axis=0).max() == 0.0
+
+
 def test_a_reversed_aileron_is_survived_and_a_fixed_law_is_lost(small: Prepared) -> None:
     mission = Mission(duration=12.0, faults=("5: aileron effect -1",))
     adaptive = fly_loop(small, mission, rate_controller(small))
