@@ -188,8 +188,7 @@ class ExcitationRun:
         self.why = ""  # How the last run ended; empty before and during one
         self.sufficiency: Sufficiency | None = None  # What the run, or the last one, has taught
         self._input: ProgrammedInput | None = None
-        self._start_ns = self._now_ns = self._end_ns = 0
-        self._zeros_until_ns: int | None = None
+        self._start_ns = self._now_ns = self._end_ns = self._zeros_until_ns = 0
 
     @property
     def active(self) -> bool:
@@ -227,7 +226,7 @@ class ExcitationRun:
         self._now_ns, self._start_ns = estimate.t_ns, estimate.t_ns + self._lead_ns
         names = self._input.names
         self.sufficiency = Sufficiency(self._structure, names, settings.min_t_ratio or math.inf)
-        self.phase, self.why, self._zeros_until_ns = Phase.RUNNING, "", None
+        self.phase, self.why = Phase.RUNNING, ""
         return ""
 
     def abort(self, t_ns: int, why: str) -> Injection:
@@ -242,28 +241,25 @@ class ExcitationRun:
         """Return what to ask for at a tick; None where silence is right."""
         t_ns = estimate.t_ns
         if not self.active:  # zero for a moment after a run, then nothing
-            if self._zeros_until_ns is None or not t_ns <= self._zeros_until_ns:
-                self._zeros_until_ns = None
-                return None
-            return Injection(t_ns, np.zeros(len(INPUTS)))
+            done = t_ns > self._zeros_until_ns
+            return None if done else Injection(t_ns, np.zeros(len(INPUTS)))
         assert self._input is not None and self.sufficiency is not None
         self._now_ns = t_ns
         problem = _problem(self._settings, flying, estimate)
         if problem:
             return self.abort(t_ns, f"aborted: {problem}")
         self.sufficiency.update(t_ns, estimate.coefficients, estimate.sigma)
+        unknown = ", ".join(self.sufficiency.unknown)
+        enough = self._settings.min_t_ratio > 0.0 and not unknown
         t = (t_ns + self._lead_ns - self._start_ns) * 1e-9
-        if self.phase is Phase.RUNNING and t >= self._input.period and self._enough():
+        if self.phase is Phase.RUNNING and t >= self._input.period and enough:
             self.phase, self._end_ns = Phase.ENDING, t_ns
             self.why = f"everything is known after {self.elapsed:.0f} s"
-        values = self._input.sample(t) * self._share(t_ns)
-        if t >= self._input.duration or self._share(t_ns) <= 0.0:
-            self.abort(t_ns, self.why or self._outcome())
-        return Injection(t_ns + self._lead_ns, values)
-
-    def _enough(self) -> bool:
-        assert self.sufficiency is not None
-        return not self.sufficiency.unknown and self._settings.min_t_ratio > 0.0
+        share = self._share(t_ns)
+        if t >= self._input.duration or share <= 0.0:
+            known = f"not known yet: {unknown}" if unknown else "everything is known"
+            self.abort(t_ns, self.why or f"complete; {known}")
+        return Injection(t_ns + self._lead_ns, self._input.sample(t) * share)
 
     def _share(self, t_ns: int) -> float:
         """Return what is left of the signal while it fades out early, 0 ... 1."""
@@ -272,13 +268,6 @@ class ExcitationRun:
         since = (t_ns - self._end_ns) * 1e-9
         fade = self._settings.fade_time
         return max(0.0, 1.0 - since / fade) if fade > 0.0 else 0.0
-
-    def _outcome(self) -> str:
-        """Say how a run went that came to its end."""
-        assert self.sufficiency is not None
-        unknown = ", ".join(self.sufficiency.unknown)
-        known = f"not known yet: {unknown}" if unknown else "everything is known"
-        return f"complete; {known}"
 
 
 def _problem(settings: ExcitationSettings, flying: Flying, estimate: Estimate) -> str:

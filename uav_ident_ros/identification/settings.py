@@ -29,40 +29,20 @@ class SettingsError(ValueError):
 
 @dataclass(frozen=True)
 class Setting:
-    """Declaration of one setting.
+    """Declaration of one setting."""
 
-    Parameters
-    ----------
-    name : str
-        Dotted name, as in the parameter file.
-    type : str
-        ``bool``, ``int``, ``float``, ``str``, ``float[]``, ``str[]`` or ``int[]|str[]``.
-    default : Value
-        Default value.
-    unit : str
-        Physical unit; empty for a pure number or a word.
-    description : str
-        One or two sentences: what it is and when to change it.
-    low, high : float
-        Inclusive range of a number or of every entry of an array.
-    choices : tuple of str
-        Allowed words; empty if any is.
-    read_only : bool
-        Whether it cannot change while the identifier runs.
-    restarts : bool
-        Whether, when it changes, the filters restart and what was learned so far is trusted as
-        after a warm start: it was learned from signals that were made otherwise.
-    """
-
-    name: str
-    type: str
+    name: str  # Dotted, as in the parameter file
+    type: str  # ``bool``, ``int``, ``float``, ``str``, ``float[]``, ``str[]`` or ``int[]|str[]``
     default: Value
-    unit: str
-    description: str
+    unit: str  # Physical; empty for a pure number or a word
+    description: str  # One or two sentences: what it is and when to change it
+    # Inclusive range of a number or of every entry of an array
     low: float = -math.inf
     high: float = math.inf
-    choices: tuple[str, ...] = ()
-    read_only: bool = True
+    choices: tuple[str, ...] = ()  # Allowed words; empty if any is
+    read_only: bool = True  # Whether it cannot change while the identifier runs
+    # Whether, when it changes, the filters restart and what was learned so far is trusted as after
+    # a warm start: it was learned from signals that were made otherwise
     restarts: bool = False
 
     @property
