@@ -614,9 +614,9 @@ class OnlineIdentifier:
         # A tick without a block is none of waiting where samples come more slowly than ticks.
         patience = 0.0 if self._as_paper else self.settings.filter.max_gap / NS
         fed = t_ns - self._fed_ns <= patience
-        state, reason = self._state(fed)
+        state, why = self._state(fed)
         sound = state is not State.FAULT and self.speed_believed and not self.plausibility.doubted
-        usable = self._verdict.rows if sound else (False, False, False)
+        p, q, r = (sound and not reason for reason in self._verdict)
         predicted, flow = self._frame.to_imu(self._parallel.model.state[:3]), self._parallel.flow
         newest = np.zeros(3) if self._newest_rates is None else self._newest_rates
         return Estimate(
@@ -628,10 +628,10 @@ class OnlineIdentifier:
             flow=None if flow is None else flow.state(coefficients, sigma),
             fit=self.running_fit.fit,
             adapting=fed and True in self.supervisor.learning.tolist(),
-            usable=all(usable),
-            usable_rows=usable,
+            usable=p and q and r,
+            usable_rows=(p, q, r),
             state=state.value,
-            reason=reason,
+            reason=why,
         )
 
     def _look_at_settings(self) -> None:

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -47,28 +45,9 @@ class State(StrEnum):
     FAULT = "fault"
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Whether a controller may act on the coefficients."""
-
-    # For each of pdot, qdot, rdot why it may not, in a sentence; empty where it may
-    reasons: tuple[str, str, str]
-
-    @cached_property
-    def rows(self) -> tuple[bool, bool, bool]:
-        """Whether it may act on each row."""
-        first, second, third = (not reason for reason in self.reasons)
-        return first, second, third
-
-    @cached_property
-    def usable(self) -> bool:
-        """Whether it may act on all rows."""
-        return not any(self.reasons)
-
-    @cached_property
-    def reason(self) -> str:
-        """Why it may not act on all rows; empty if it may."""
-        return "; ".join(dict.fromkeys(filter(None, self.reasons)))
+Verdict = tuple[str, str, str]
+"""For each of pdot, qdot, rdot why a controller may not act on it, in a sentence; empty where it
+may."""
 
 
 class Change(NamedTuple):
@@ -204,9 +183,8 @@ class Supervisor:
             or self.confirmed.doubt(i)
             for i in range(len(ROWS))
         )
-        verdict = Verdict((first, second, third))
-        self.proven = self.proven or verdict.usable
-        return verdict
+        self.proven = self.proven or not (first or second or third)
+        return first, second, third
 
     def _unknown_input(self, row: int, coefficients: FloatArray, sigma: FloatArray) -> str:
         """Return how the main control derivative of a row is not known; empty if it is."""
@@ -223,12 +201,11 @@ class Supervisor:
         """Return the state word, and why it is not learning or not usable."""
         if self.gates.closed:
             return State.PAUSED, self.gates.closed
+        reason = "; ".join(dict.fromkeys(filter(None, verdict)))
         if True not in self._learned.tolist():
-            reasons = [*sorted(set(self.pauses().values())), verdict.reason]
+            reasons = [*sorted(set(self.pauses().values())), reason]
             return State.PAUSED, "; ".join(filter(None, reasons))
-        if verdict.usable:
-            return State.CONVERGED, ""
-        return State.LEARNING, verdict.reason
+        return State.LEARNING if reason else State.CONVERGED, reason
 
 
 def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str:
