@@ -149,10 +149,7 @@ class Structure:
     @cached_property
     def mask(self) -> BoolArray:
         """Free coefficients, shape (R, n)."""
-        mask = np.zeros((len(self.rows), self.size), dtype=bool)
-        for i, row in enumerate(self.rows):
-            for label in row:
-                mask[i, self.regressors.index(label)] = True
+        mask = np.array([[label in row for label in self.regressors] for row in self.rows])
         mask.flags.writeable = False
         return mask
 
@@ -171,10 +168,7 @@ class Structure:
     @cached_property
     def constants(self) -> BoolArray:
         """Coefficients of the constant, shape (R, n)."""
-        constants = np.zeros_like(self.mask)
-        if CONSTANT in self.regressors:
-            constants[:, self.column(CONSTANT)] = self.mask[:, self.column(CONSTANT)]
-        return constants
+        return np.asarray(self.mask & (np.array(self.regressors) == CONSTANT))
 
     @cached_property
     def free(self) -> tuple[tuple[int, int], ...]:
