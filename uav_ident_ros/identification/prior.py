@@ -139,9 +139,8 @@ class Start:
 def first_values(structure: Structure) -> FloatArray:
     """Values of unknown coefficients, shape (R, n), SI: zero but for the slopes of the forces."""
     values = np.zeros(structure.mask.shape)
-    if structure.has_flow:
-        values[structure.index("ay/beta")] = SIDE_FORCE_SLOPE
-        values[structure.index("az/alpha")] = LIFT_SLOPE
+    for flow, slope in zip(structure.flow, (SIDE_FORCE_SLOPE, LIFT_SLOPE), strict=False):
+        values[flow.force, flow.angle] = slope
     return values
 
 
@@ -152,9 +151,9 @@ def slope_bounds(structure: Structure) -> FloatArray:
     aircraft has, and lift holds it in level flight.
     """
     bounds = np.full(structure.mask.shape, np.inf)
-    if structure.has_flow:
-        bounds[structure.index("ay/beta")] = 0.1 * SIDE_FORCE_SLOPE
-        bounds[structure.index("az/alpha")] = -GRAVITY / LARGEST_LIFT_ANGLE
+    largest = 0.1 * SIDE_FORCE_SLOPE, -GRAVITY / LARGEST_LIFT_ANGLE
+    for flow, slope in zip(structure.flow, largest, strict=False):
+        bounds[flow.force, flow.angle] = slope
     return bounds
 
 
@@ -184,16 +183,13 @@ def weak_sigma(structure: Structure) -> FloatArray:
     }
     moments = [by_label[label] for label in structure.regressors]
     sigma = np.tile(moments, (len(structure.rows), 1))
-    if structure.has_flow:
-        for name in ("ay/beta", "az/alpha"):
-            sigma[structure.index(name)] = abs(first_values(structure)[structure.index(name)])
-        for flow in structure.flow:
-            slope = abs(first_values(structure)[flow.force, flow.angle])
-            others = list(flow.others)
-            sigma[flow.force, others] = slope * SURFACE_SHARE[structure.row_labels[flow.force]]
-            rates = [j for j in others if j < INPUT_COLUMNS.start]
-            sigma[flow.force, rates] = slope * TAIL_TIME
-        sigma[[flow.kinematics for flow in structure.flow]] = KINEMATIC_SIGMA
+    first = first_values(structure)
+    for flow in structure.flow:
+        sigma[flow.kinematics] = KINEMATIC_SIGMA
+        slope = sigma[flow.force, flow.angle] = abs(first[flow.force, flow.angle])
+        for j in flow.others:
+            share = SURFACE_SHARE[structure.row_labels[flow.force]]
+            sigma[flow.force, j] = slope * (TAIL_TIME if j < INPUT_COLUMNS.start else share)
     return sigma
 
 
