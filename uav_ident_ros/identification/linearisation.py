@@ -199,8 +199,11 @@ def _names(part: str, eigenvalues: list[complex]) -> list[str]:
 
 def _mode(name: str, value: complex, slope: NDArray[np.complex128], spread: FloatArray) -> Mode:
     """One mode, with standard deviations to first order."""
-    real = float(np.sqrt(((slope.real * spread) ** 2).sum()))
-    imaginary = float(np.sqrt(((slope.imag * spread) ** 2).sum()))
+
+    def sigma(gradient: FloatArray) -> float:
+        return float(np.sqrt(((gradient * spread) ** 2).sum()))
+
+    real = sigma(slope.real)
     if value.imag == 0.0:
         constant = -1.0 / value.real if value.real else math.inf
         return Mode(
@@ -216,9 +219,9 @@ def _mode(name: str, value: complex, slope: NDArray[np.complex128], spread: Floa
     return Mode(
         name,
         value,
-        (real, imaginary),
+        (real, sigma(slope.imag)),
         frequency=size,
-        frequency_sigma=float(np.sqrt(((by_size * spread) ** 2).sum())),
+        frequency_sigma=sigma(by_size),
         damping=-value.real / size,
-        damping_sigma=float(np.sqrt(((by_damping * spread) ** 2).sum())),
+        damping_sigma=sigma(by_damping),
     )
