@@ -125,8 +125,6 @@ class Sufficiency:
 ZERO_TIME_NS = round(2e9 * EXCITATION_TIMEOUT)
 """How long zeros follow a run, ns, before it is silent: for a listener that missed the first."""
 
-RATE_NAMES = ("roll", "pitch", "yaw")
-
 
 class Phase(StrEnum):
     """What a run is doing, in a word."""
@@ -153,7 +151,7 @@ class Flying:
             return "no rates are measured"
         if self.grounded:
             return self.grounded
-        for name, rate in zip(RATE_NAMES, self.rates.tolist(), strict=True):
+        for name, rate in zip(("roll", "pitch", "yaw"), self.rates.tolist(), strict=True):
             if not abs(rate) <= limits.max_rate:  # NaN fails too
                 return f"{name} rate {rate:.2f} rad/s: the limit is {limits.max_rate:g}"
         for name, angle in (("roll", self.roll), ("pitch", self.pitch)):

@@ -533,7 +533,8 @@ class Settings:
         settings = cls()
         for name, value in values.items():
             if name not in known:
-                raise SettingsError(unknown_setting(name))
+                meant = nearest(name, known) or "see the parameter table"
+                raise SettingsError(f"there is no parameter '{name}': {meant}")
             if value is None:
                 value = known[name].default if not known[name].type.endswith("[]") else ()
             settings = _with(settings, name.split("."), known[name].check(value))
@@ -548,12 +549,6 @@ class Settings:
 EXCITATION_TIMEOUT = IN_A_ROW / Settings.update_rate
 """Time for which a value of excitation counts, s: `IN_A_ROW` ticks at the usual rate. Who stops
 saying what to inject, injects nothing."""
-
-
-def unknown_setting(name: str) -> str:
-    """Say that there is no setting of that name, and which was probably meant."""
-    known = [setting.name for setting in declarations()]
-    return f"there is no parameter '{name}': {nearest(name, known) or 'see the parameter table'}"
 
 
 def nearest(name: str, known: Collection[str]) -> str:
