@@ -18,7 +18,6 @@ from uav_ident_ros.identification.residuals import Confirmation
 from uav_ident_ros.identification.scales import MEMORY
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
-    MAIN_COLUMNS,
     MAIN_DERIVATIVES,
     MAIN_INPUTS,
     ROWS,
@@ -159,9 +158,8 @@ class Supervisor:
         if learned_time < JUDGED_FROM:
             young = f"{int(learned_time)} s of learning, {JUDGED_FROM:g} s are needed for a verdict"
         settings = self.settings.supervision
-        main = MAIN_DERIVATIVES
-        beside = sigma.copy()
-        beside[main] = sigma_beside(sigma[main], coefficients[main], model_error)
+        main, spread = coefficients[MAIN_DERIVATIVES], sigma[MAIN_DERIVATIVES]
+        beside = sigma_beside(spread, main, model_error)
         relearning: dict[int, str] = {}
         for (i, j), change in list(self._relearning.items()):
             known = settings.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
@@ -177,25 +175,14 @@ class Supervisor:
             or denied[i]
             or young
             or _poor_fit(settings, running, i)
-            or self._unknown_input(i, coefficients, beside)  # first: unknown, late or not
+            or _unknown_input(settings, i, main.item(i), beside.item(i))  # late or not
             or _incomplete(i, float(model_error[i]), settings.min_t_ratio)
-            or self._unknown_input(i, coefficients, sigma)
+            or _unknown_input(settings, i, main.item(i), spread.item(i))
             or self.confirmed.doubt(i)
             for i in range(len(ROWS))
         )
         self.proven = self.proven or not (first or second or third)
         return first, second, third
-
-    def _unknown_input(self, row: int, coefficients: FloatArray, sigma: FloatArray) -> str:
-        """Return how the main control derivative of a row is not known; empty if it is."""
-        index, needed = (row, MAIN_COLUMNS[row]), self.settings.supervision.min_t_ratio
-        value, spread = abs(coefficients.item(index)), sigma.item(index)
-        ratio = value / spread if spread > 0.0 else (np.inf if value > 0.0 else 0.0)
-        if ratio >= needed:
-            return ""
-        name = ROWS[row]
-        move = MAIN_INPUTS[name]
-        return f"{name}/{move} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {move}"
 
     def state(self, verdict: Verdict) -> tuple[State, str]:
         """Return the state word, and why it is not learning or not usable."""
@@ -221,6 +208,15 @@ def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str
                 f"(holding the rate: {hold:.0f} %, needed: {needed:.0f} %)"
             )
     return ""
+
+
+def _unknown_input(settings: SupervisionSettings, row: int, value: float, sigma: float) -> str:
+    """Return how the main control derivative of a row is not known; empty if it is."""
+    ratio = abs(value) / sigma if sigma > 0.0 else (np.inf if value else 0.0)
+    needed, name, move = settings.min_t_ratio, ROWS[row], MAIN_INPUTS[ROWS[row]]
+    if ratio >= needed:
+        return ""
+    return f"{name}/{move} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {move}"
 
 
 def _incomplete(row: int, share: float, t_ratio: float) -> str:
