@@ -279,7 +279,8 @@ class Sampler:
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks that the samples in use complete."""
-        if not self._ready():
+        self.waiting_for = self._missing()
+        if self.waiting_for:
             return
         first_ns = 0
         for first_ns, last_ns in self._runs():
@@ -301,23 +302,19 @@ class Sampler:
     def _delay_ns(self) -> int:
         return round(self.delay * 1e9)
 
-    def _ready(self) -> bool:
-        """Whether rate, inputs and trim are known; `waiting_for` says what is not."""
+    def _missing(self) -> str:
+        """Return what is not known yet of rate, inputs and trim; empty if all is."""
         if self.h_ns is None:
             if len(self.rates.t) <= RATE_SAMPLES:
-                self.waiting_for = "rates"
-                return False
+                return "rates"
             interval = int(np.median(np.diff(self.rates.t)))
             self.h_ns = max(interval, FASTEST_CELL_NS)
         if not len(self.raw_inputs.t):
-            self.waiting_for = "actuators"
             self.rates.trim(int(self.rates.t[-1]))
-            return False
+            return "actuators"
         if not self._trim_known and not self._learn_trim():
-            self.waiting_for = "steady flight to learn the trim from"
-            return False
-        self.waiting_for = ""
-        return True
+            return "steady flight to learn the trim from"
+        return ""
 
     def _stale_age(self) -> int:
         """Return the age, ns, at which an input is lost.
