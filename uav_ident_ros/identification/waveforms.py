@@ -209,10 +209,9 @@ class ProgrammedInput:
     @property
     def period(self) -> float:
         """Time after which every input has had its share, s: a period, or a turn of all."""
-        count = int(self.excited.sum())
         if self.settings.form == "multisine":
             return LOWEST_CYCLES / self.settings.band[0]
-        return count * turn_time(self._pulses, self._unit, self._pause)
+        return int(self.excited.sum()) * turn_time(*self._turn)
 
     @property
     def duration(self) -> float:
@@ -234,17 +233,11 @@ class ProgrammedInput:
         return np.asarray(values * np.array(self.settings.amplitude))
 
     @property
-    def _pulses(self) -> str:
-        return "doublet" if self.settings.form == "probe" else self.settings.form
-
-    @property
-    def _unit(self) -> float:
-        low, high = self.settings.band
-        return DOUBLET_PEAK / math.sqrt(low * high)
-
-    @property
-    def _pause(self) -> float:
-        return PAUSE_UNITS * self._unit
+    def _turn(self) -> tuple[str, float, float]:
+        """Shape, shortest pulse and pause, s, where inputs take turns."""
+        form, (low, high) = self.settings.form, self.settings.band
+        unit = DOUBLET_PEAK / math.sqrt(low * high)
+        return "doublet" if form == "probe" else form, unit, PAUSE_UNITS * unit
 
     def _shapes(self, t: FloatArray) -> FloatArray:
         """Shapes, peak one, of the excited inputs, (len(t), count)."""
@@ -252,4 +245,4 @@ class ProgrammedInput:
         if self.settings.form == "multisine":
             low, high = self.settings.band
             return multisines(t, count, self.period, (low, high))
-        return pulses(t, count, self._pulses, self._unit, self._pause)
+        return pulses(t, count, *self._turn)
