@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The limits of settings are those of docs/parameters.md."""
+"""The limits of settings are those of docs/parameters.md, and refusals name the setting."""
+
+import pickle
+from typing import Any
 
 import pytest
 
@@ -20,3 +23,34 @@ def test_a_value_beyond_its_documented_limit_is_refused(
     assert Settings.from_values({name: allowed, "structure": "augmented"}).values()[name] == allowed
     with pytest.raises(SettingsError, match=name):
         Settings.from_values({name: refused, "structure": "augmented"})
+
+
+DIFFERENCES = {"filter.method": "backward_difference"}
+PAPER = DIFFERENCES | {"estimator": "gradient", "structure": "baseline"}
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"filter.method": "wavelet"}, "'filter.method' is 'wavelet': allowed are state_variable"),
+        (DIFFERENCES, "'filter.method' .*use 'state_variable'"),
+        (PAPER | {"actuators.estimate_delay": True}, "'actuators.estimate_delay' .*state_variable"),
+        ({"excitation.amplitude": (0.1, 0.1, 0.1)}, "excitation.amplitude"),
+        ({"excitation.amplitude": (0.1, -0.1, 0.1, 0.0)}, "excitation.amplitude"),
+        ({"excitation.band": (2.0, 0.2)}, "excitation.band"),
+        ({"excitation.form": "sweep"}, "excitation.form"),
+        *(
+            ({"supervision.expected_signs": (entry,)}, "write \\+ or -")
+            for entry in ("pdot/da", "+pdot/dx", "*pdot/da", "")
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(SettingsError, match=words) as caught:
+        Settings.from_values(values)
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)  # from a worker
+
+
+def test_an_empty_list_of_rcl_is_one() -> None:
+    """It reads ``trim: []`` as nothing."""
+    assert Settings.from_values({"actuators.trim": None}).actuators.trim == ()
