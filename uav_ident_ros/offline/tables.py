@@ -79,7 +79,7 @@ class Table:
 
 
 def columns(table: Table) -> Iterator[str]:
-    """Yield the lines of a table: what is no number or heading of a row stands on the right."""
+    """Yield the lines of a table: words and the headings of rows stand on the left."""
     if table.caption:
         yield table.caption
     lines: list[Sequence[Cell]] = [table.head, *([row.name, *row.cells] for row in table.rows)]
