@@ -17,6 +17,8 @@ FORMATS: dict[str, tuple[str, str]] = {
     "GYR": ("QBQfff", "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ"),
     "ACC": ("QBQfff", "TimeUS,I,SampleUS,AccX,AccY,AccZ"),
     "RCOU": ("QHHHHHHHHHHHHHH", "TimeUS," + ",".join(f"C{i}" for i in range(1, 15))),
+    "RCO2": ("QHHHH", "TimeUS,C15,C16,C17,C18"),
+    "RCO3": ("QHH", "TimeUS,C1,C2"),
     "AETR": ("Qfffffff", "TimeUS,Ail,Elev,Thr,Rudd,Flap,Steer,SS"),
     "RATE": ("Qffffffffffff", "TimeUS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut,ADes,A,AOut"),
     "ARSP": ("QBffcffBBfB", "TimeUS,I,Airspeed,DiffPress,Temp,RawPress,Offset,U,H,Hp,Pri"),

@@ -87,6 +87,19 @@ def test_a_plane_with_reversed_servos(importer: Importer) -> None:
     assert "structure" not in found  # an aeroplane's: the default
 
 
+def test_pins_beyond_the_fourteenth_are_read(importer: Importer) -> None:
+    """A message without further pins adds nothing."""
+    rudder = np.random.default_rng(3).integers(1200, 1800, (len(COMMAND_US), 1))
+    more = at(COMMAND_US, "RCO2", rudder) + at(COMMAND_US, "RCO3", PULSES[:, :2])
+    values = servos(4, 19, 70) | {
+        name.replace("SERVO1_", "SERVO15_"): value for name, value in servos(21).items()
+    }
+    bag, found, _ = imported(importer, more, values, pulses=rcou(pulses=PULSES[:, :3]))
+    assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
+    np.testing.assert_array_equal(bag.actuators, np.hstack([PULSES[:, :3], rudder]))
+    np.testing.assert_allclose(mixing(found)[1], [0, 0, 0, -1])
+
+
 ELEVON, TAIL = [-0.5, -0.5], [-0.5, 0.5]
 """Halves: Plane's mixer gives each of a pair half of either demand (MIXING_GAIN)."""
 

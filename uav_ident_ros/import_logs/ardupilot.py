@@ -111,8 +111,8 @@ class _ArduPilot(Import):
         log, fields = self.log, _pin_fields(first)
         widths, pins = first.stream(*fields.values()), [*fields]
         for name in PINS[1:]:
-            if (more := log.messages(name)) is not None:
-                added = _pin_fields(more, len(pins) + 1)
+            more = log.messages(name)
+            if more and (added := _pin_fields(more, len(pins) + 1)):
                 widths = widths.joined(more.stream(*added.values()))
                 pins += added
         functions = [int(log.parameter(f"SERVO{pin}_FUNCTION")) for pin in pins]
