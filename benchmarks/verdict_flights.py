@@ -264,6 +264,8 @@ def _unmodelled(series: Series) -> Iterator[Trial]:
         *((aircraft, words, settings, flight) for aircraft in ("light_aircraft", "c172p", "T37")
           for words, settings, flight in (
               ("lag of 100 ms told, none there", {"actuators.time_constant": 0.1}, {}),
+              ("lag of 50 ms told, none there, delay sought",
+               {**UNTOLD, "actuators.time_constant": 0.05}, {}),
               ("delay 60 ms shorter than told", {"actuators.delay": DELAY + 0.06}, {}),
               ("commands recorded at 10 Hz", {}, {"spoil": _thinned}),
               ("Imu 15 cm above the centre of gravity", {"imu.lever_arm": [0.0, 0.0, 0.0]},
