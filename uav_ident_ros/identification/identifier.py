@@ -416,37 +416,34 @@ class OnlineIdentifier:
         if len(self._armed.t):
             supervisor.armed = bool(self._armed.v[-1, 0])
             self._armed.trim(t_ns)
-        new = rates.after(self._looked_ns)
-        samples, channels = rates.v[new:], inputs.v
-        if self._as_paper:  # it knows no gates of the signals
-            samples, channels = samples[:0], channels[:0]
-        which = self._glitches.find(samples[:, :3], self.settings.supervision.max_rate)
-        if which is not None:
-            samples = self._left(new, which, Drop.GLITCH)
-        which = self._spikes.find(samples, 1.0 / self.settings.update_rate)
-        if which is not None:
-            samples = self._left(new, which, Drop.SPIKE)
+        samples, channels, settings = rates.v[:0], inputs.v[:0], self.settings
+        if not self._as_paper:  # it knows no gates of the signals
+            new = rates.after(self._looked_ns)
+            max_rate, dt = settings.supervision.max_rate, 1.0 / settings.update_rate
+            self._leave_out(self._glitches.find(rates.v[new:, :3], max_rate), Drop.GLITCH)
+            self._leave_out(self._spikes.find(rates.v[new:], dt), Drop.SPIKE)
+            samples, channels = rates.v[new:], inputs.v
         if len(rates.t):
             self._newest_rates = rates.v[-1, :3]
         steps = self.intake.clock_steps.steps
         for size_ns in steps[self._noted_steps :]:
             self.plausibility.note(t_ns * NS, clock_step(size_ns * NS))
         self._noted_steps = len(steps)
-        if self.settings.supervision.plausibility:
+        if settings.supervision.plausibility:
             fresh = channels[inputs.after(self._looked_ns) :]
             self.plausibility.look(t_ns * NS, samples, fresh)
         self._looked_ns = t_ns
         look = Look(
             t_ns * NS, samples, channels, self._speed.newest, supervisor.armed, supervisor.adapt,
-            self.plausibility.signal_fault, self.settings,
+            self.plausibility.signal_fault, settings,
         )  # fmt: skip
         supervisor.gates.look(look)
 
-    def _left(self, new: int, which: BoolArray, drop: Drop) -> FloatArray:
-        """Drop some of the samples of the rates from `new` on; return what is left of them."""
-        self.sampler.rates.leave_out(which)
-        self.intake.drops[RATES][drop] += int(which.sum())
-        return self.sampler.rates.v[new:]
+    def _leave_out(self, which: BoolArray | None, drop: Drop) -> None:
+        """Drop those of the newest samples of the rates."""
+        if which is not None:
+            self.sampler.rates.leave_out(which)
+            self.intake.drops[RATES][drop] += int(which.sum())
 
     def _segment(self, t_ns: int) -> Iterator[Stretch]:
         """Run the model beside the blocks that this tick completes; yield what they complete."""
