@@ -69,7 +69,8 @@ def test_what_was_usable_grows_stale_in_quiet_flight(max_age: float, usable: boo
 
 
 @cache
-def _learned(max_age: float) -> tuple[OnlineIdentifier, list[flying.Message]]:
+def learned(max_age: float) -> tuple[OnlineIdentifier, list[flying.Message]]:
+    """An identifier that is usable after 35 s, and what comes then."""
     flight = flying.measured(42.0)
     stream = flying.messages(flight)
     then_ns = stream[0].t_ns + 35_000_000_000
@@ -77,11 +78,6 @@ def _learned(max_age: float) -> tuple[OnlineIdentifier, list[flying.Message]]:
     identifier = OnlineIdentifier(flying.settings(flight, **values))
     assert flying.run(identifier, (m for m in stream if m.t_ns < then_ns))[-1].usable
     return identifier, [m for m in stream if m.t_ns >= then_ns]
-
-
-def learned(max_age: float) -> tuple[OnlineIdentifier, list[flying.Message]]:
-    """An identifier that is usable after 35 s, and what comes then."""
-    return deepcopy(_learned(max_age))
 
 
 @pytest.mark.parametrize(
@@ -92,7 +88,7 @@ def test_what_was_usable_grows_stale_while_nothing_can_be_learned(
     what: str, max_age: float, usable: bool
 ) -> None:
     """The actuators are silent, or the gyro saturated; with learning switched off it may stay."""
-    identifier, rest = learned(max_age)
+    identifier, rest = deepcopy(learned(max_age))
     identifier.supervisor.adapt = what != "off"
     if what == "silent":
         rest = [m for m in rest if m.stream == "rates"]
