@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Autopilot logs and tables in, bags with the standard topics and fitting parameters out.
+"""Import of autopilot logs and tables: a bag with the standard topics, and parameters for it.
 
-A log that cannot be imported raises `flight_log.ImportLogError`, whoever finds out.
+Every module raises `flight_log.ImportLogError` for a log that cannot be imported.
 """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ArduPilot dataflash logs (`.bin`): rates, outputs, airspeed and what the log says of them.
+"""ArduPilot dataflash logs (`.bin`): rates, actuator commands, airspeed, parameters.
 
-`RCOU` (and `RCO2`, `RCO3`) are the pulse widths at the pins, whose functions are the parameters
-``SERVOn_FUNCTION``. Before the mixers are `AETR` (Plane) and `RATE` (Copter, QuadPlane).
+`RCOU` (and `RCO2`, `RCO3`) are the pulse widths at the pins. The parameters ``SERVOn_FUNCTION``
+give the function of each pin. `AETR` (Plane) and `RATE` (Copter, QuadPlane) precede the mixers.
 """
 
 import re
@@ -44,15 +44,15 @@ FRAMES = {
 """Name and arms by FRAME_CLASS and FRAME_TYPE."""
 
 NAMES = {number: surface["name"] for number, surface in SURFACES.items()} | THROTTLES | MOTORS
-"""Name of what moves the aircraft, by SERVOn_FUNCTION."""
+"""Names of the actuators that move the aircraft, by SERVOn_FUNCTION."""
 
 OFF_CENTRE = 0.02
-"""A trim further from the middle than this part of the range is worth a word."""
+"""Largest distance of the trim from mid-range without a finding, as a part of the range."""
 
 PINS = ("RCOU", "RCO2", "RCO3")
 
 NORMALISED = 10.0
-"""Demands beyond this are in the units before Copter 3.4, thousands: none is above one since."""
+"""Limit between demands since Copter 3.4, at most 1, and those before it, in thousands."""
 
 
 def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
@@ -62,18 +62,18 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
     log = read_dataflash(path, kinds(KNOWN) | {*PINS, "DSF"})
     log.title = next((text for text in log.texts if _firmware(text)), "ArduPilot")
     firmware = _firmware(log.title)
-    it = _ArduPilot(log, KNOWN | _of_firmware(log, firmware), choice)
-    it.refuse_others({"it calls itself": firmware})
-    _name_as_today(log, firmware)
+    importer = _ArduPilot(log, KNOWN | _of_firmware(log, firmware), choice)
+    importer.refuse_others({"it calls itself": firmware})
+    _add_present_parameters(log, firmware)
     statistics = log.messages("DSF")
     lost = statistics.columns["Dp"].max() if statistics and statistics.has("Dp") else 0
     if lost:
         log.findings.lost.append(f"the logger lost {lost:.0f} messages (DSF.Dp)")
-    return it.flight_log()
+    return importer.flight_log()
 
 
 class _ArduPilot(Import):
-    """What is known of ArduPilot: the functions of its pins, and QuadPlanes."""
+    """Import of an ArduPilot log: functions of the pins, QuadPlanes."""
 
     def in_the_body(
         self, kind: str, messages: Messages, rates: FloatArray, force: Force
@@ -107,7 +107,7 @@ class _ArduPilot(Import):
         return explained
 
     def _pins(self, first: Messages) -> Actuators:
-        """Pulse widths and the functions of the servo outputs."""
+        """Read the pulse widths at the pins, with effects from the functions of the pins."""
         log, fields = self.log, _pin_fields(first)
         widths, pins = first.stream(*fields.values()), [*fields]
         for name in PINS[1:]:
@@ -126,14 +126,14 @@ class _ArduPilot(Import):
 
 
 def _firmware(text: str) -> str:
-    """Return which vehicle a firmware's name is of, as 'Copter' of 'APM:Copter V3.4'; or ''."""
+    """Return the vehicle in a firmware's name: 'Copter' in 'APM:Copter V3.4'; '' if none."""
     vehicles = [*KNOWN["aircraft"], *KNOWN["not_aircraft"]["it calls itself"]]
     found = re.match(rf"(?:Ardu|APM:|Antenna)?({'|'.join(vehicles)})\b.*\bV?\d", text)
     return found[1] if found else ""
 
 
 def _of_firmware(log: Log, firmware: str) -> dict[str, Any]:
-    """Return what differs by the firmware: modes, logging options, units."""
+    """Return the table's entries that depend on the firmware: modes, logging options, units."""
     rate = log.messages("RATE")
     result = {
         "modes": KNOWN["modes"].get(firmware, {}),
@@ -164,7 +164,7 @@ def _pin_fields(messages: Messages, first: int = 1) -> dict[int, str]:
 
 
 def _channel(log: Log, pin: int, function: int, effects: Mapping[int, Effect]) -> Channel:
-    """Return what a pin is, by its function."""
+    """Return the channel of a pin, from its function and the parameters of its range."""
     prefix, meaning = f"SERVO{pin}_", f"SERVO{pin}_FUNCTION {function}"
     if function not in NAMES:
         return Channel(f"output_{pin}", NO_EFFECT, meaning, unit="us")
@@ -185,7 +185,7 @@ def _channel(log: Log, pin: int, function: int, effects: Mapping[int, Effect]) -
 
 
 def _effects(log: Log, functions: list[int]) -> dict[int, Effect]:
-    """Effects by function, given those of all pins: of several of one kind, their mean's."""
+    """Return the effect of each function; pins of one function share it equally."""
     effects = {
         function: effect_of(SURFACES[function], 1.0 / functions.count(function))
         for function in functions
@@ -222,11 +222,11 @@ def _effects(log: Log, functions: list[int]) -> dict[int, Effect]:
 # --- before SERVOn_FUNCTION ---------------------------------------------------------------------
 
 
-def _name_as_today(log: Log, firmware: str) -> None:
-    """Add parameters to an old log, under today's names, as far as they follow from its own.
+def _add_present_parameters(log: Log, firmware: str) -> None:
+    """Add parameters with the present names to an old log, derived from its own parameters.
 
-    Before Copter 3.5 and Plane 3.8 no parameter said what pins 1 to 4 of a plane or the motors'
-    pins of a copter move: the firmware knew, from ``FRAME`` and the sticks' channels (``RCMAP_*``).
+    Before Copter 3.5 and Plane 3.8 no parameter gave the functions of a plane's pins 1 to 4 and of
+    a copter's motor pins. They followed from ``FRAME`` and the sticks' channels (``RCMAP_*``).
     Ranges and directions were those of the radio's channels, ``RCn_MIN, TRIM, MAX, REV``.
     """
     parameters = log.parameters
@@ -238,17 +238,17 @@ def _name_as_today(log: Log, firmware: str) -> None:
         _old_plane(log)
 
 
-def _name_pin(log: Log, pin: int, function: int, stick: int) -> None:
-    """Give a pin its function, and the range and direction of a channel of the radio."""
-    today = {f"SERVO{pin}_FUNCTION": float(function)}
+def _set_pin(log: Log, pin: int, function: int, stick: int) -> None:
+    """Set the function of a pin, and its range to that of a channel of the radio."""
+    added = {f"SERVO{pin}_FUNCTION": float(function)}
     for end in ("MIN", "TRIM", "MAX"):
         if (reach := log.parameters.get(f"RC{stick}_{end}")) is not None:
-            today[f"SERVO{pin}_{end}"] = reach
-    log.parameters.update(today | log.parameters)
+            added[f"SERVO{pin}_{end}"] = reach
+    log.parameters.update(added | log.parameters)
 
 
 def _old_copter(log: Log) -> None:
-    """Motors on the first pins, in the order of the frame, and in the range of the throttle."""
+    """Assign the motors to the first pins, in the frame's order, with the throttle's range."""
     frames = [match[1] for text in log.texts if (match := re.fullmatch(r"Frame: (\w+)", text))]
     if frames:
         frame_class = KNOWN["old_frames"].get(frames[0])
@@ -263,7 +263,7 @@ def _old_copter(log: Log) -> None:
     log.parameters.setdefault("FRAME_TYPE", log.parameters["FRAME"])
     _, arms = FRAMES.get(_frame(log), ("", []))
     for pin, (function, _) in enumerate(zip(MOTORS, arms, strict=False), 1):
-        _name_pin(log, pin, function, KNOWN["throttle_stick"])
+        _set_pin(log, pin, function, KNOWN["throttle_stick"])
     if arms:
         log.findings.assumed.append(
             "a log without SERVOn_FUNCTION: the motors are on the pins of their numbers, their "
@@ -272,7 +272,7 @@ def _old_copter(log: Log) -> None:
 
 
 def _old_plane(log: Log) -> None:
-    """Surfaces on the pins of the sticks' channels, and what RCn_FUNCTION says of the others."""
+    """Assign the surfaces to the pins of the sticks' channels; others follow RCn_FUNCTION."""
     parameters = log.parameters
     if paired := [name for name in KNOWN["old_pairs"] if parameters.get(name)]:
         log.findings.lost.append(
@@ -285,7 +285,7 @@ def _old_plane(log: Log) -> None:
         if found := re.fullmatch(r"RC(\d+)_FUNCTION", name):
             pins.setdefault(int(found[1]), int(value))
     for pin, function in pins.items():
-        _name_pin(log, pin, function, pin)
+        _set_pin(log, pin, function, pin)
         turned = float(log.parameter(f"RC{pin}_REV", 1.0) < 0)
         parameters.setdefault(f"SERVO{pin}_REVERSED", turned)
     log.findings.assumed.append(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the log of any autopilot is read: which messages are taken, and what there is to say of it.
+"""Import common to all autopilots: choice of the messages, and findings about the log.
 
-Where everything stands is in the autopilot's table (`px4.yaml`, `ardupilot.yaml`): rates, forces,
-estimates, what tells that it flew. Its module has an `Import` that knows what its commands move.
+The table of each autopilot (`px4.yaml`, `ardupilot.yaml`) names the messages and fields of rates,
+forces, estimates and flight state. Its module derives an `Import`, which maps commands to inputs.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -36,18 +36,18 @@ from uav_ident_ros.import_logs.stamps import (
 )
 
 ENOUGH_RATE = 20.0
-"""Slowest rates the identifier works with, Hz. Commands slower than this are thinned out too much,
-too: PX4 logs the motors at 10 Hz by default, while it commands them at several hundred."""
+"""Lowest sample rate of the rates and of the commands that suffices for identification, Hz. PX4
+commands the motors at several hundred Hz and logs them at 10 Hz by default, which is too slow."""
 
 ENOUGH_COVERAGE = 0.9
-"""Messages that cover less than this part of what the best cover are passed over: a topic that was
-switched on for a part of the flight tells of that part alone."""
+"""Lowest coverage of the flight, relative to the best, of messages that are taken: some topics are
+logged for a part of the flight alone."""
 
 Force = FloatArray | None
 """Specific force at the stamps of the rates, (k, 3), m/s^2, if there is one."""
 
 Actuators = tuple[Stream, list[Channel]]
-"""Raw values of the commands, and what each column is."""
+"""Raw values of the commands, and the channel of each column."""
 
 Usable = dict[str, Messages]
 """Messages by kind, the preferred first."""
@@ -61,7 +61,7 @@ def table(name: str) -> dict[Any, Any]:
 
 
 def kinds(known: Mapping[str, Any]) -> set[str]:
-    """Return the kinds of messages that an autopilot's table names."""
+    """Return the kinds of messages in an autopilot's table."""
     named = [known["rates"], known["force"], known["controls"]]
     return {kind for part in (*named, *known["streams"].values(), *known["flight"].values())
             for kind in part}  # fmt: skip
@@ -69,27 +69,27 @@ def kinds(known: Mapping[str, Any]) -> set[str]:
 
 @dataclass
 class Import:
-    """A log on its way to a bag."""
+    """Import of one log."""
 
     log: Log
-    table: Mapping[Any, Any]  # What this autopilot's messages and parameters mean
-    choice: Choice  # What to take in place of the best
-    flown: Stretches | None = None  # Stretches in the air, or armed; None if it does not say
-    asked: int = 0  # Bits of the logging parameter that the user is asked to set
+    table: Mapping[Any, Any]  # Meaning of this autopilot's messages and parameters
+    choice: Choice  # Messages chosen by the user
+    flown: Stretches | None = None  # Stretches in the air, or armed; None if not logged
+    advised: int = 0  # Bits of the logging parameter that the findings advise to set
 
     @property
     def findings(self) -> Findings:
-        """What there is to say about the log."""
+        """Findings about the log."""
         return self.log.findings
 
-    # --- what each autopilot has of its own -------------------------------------------------------
+    # --- specific to each autopilot ---------------------------------------------------------------
 
     def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
-        """Return the readers of commands by kind of messages, nearest to the actuators first."""
+        """Return a reader for each kind of commands, nearest to the actuators first."""
         raise NotImplementedError
 
     def hovers(self, commands: Stream) -> bool:
-        """Whether such commands are a multirotor's."""
+        """Return whether the commands are those of a multirotor, or of a VTOL's hover."""
         raise NotImplementedError
 
     def commands(self, name: str, instance: int) -> Messages | None:
@@ -97,19 +97,19 @@ class Import:
         return self.log.messages(name, instance)
 
     def explained(self, usable: Usable) -> Usable:
-        """Return the commands that say what they move; all, if none do."""
+        """Return the commands whose effects the log gives; all if it gives none."""
         return usable
 
     def in_the_body(
         self, kind: str, messages: Messages, rates: FloatArray, force: Force
     ) -> tuple[FloatArray, Force]:
-        """Return rates (k, 3), rad/s, and force in body axes, of what messages of a kind hold."""
+        """Return rates (k, 3), rad/s, and specific force of a kind of messages in body axes."""
         return rates, force
 
     # --- which messages ---------------------------------------------------------------------------
 
     def refuse_others(self, found: Mapping[str, Any]) -> None:
-        """Refuse a vehicle that is no aircraft, by what was found under each key of the table."""
+        """Raise `ImportLogError` if `found`, values by key of the table, is of another vehicle."""
         for source, vehicles in self.table["not_aircraft"].items():
             if (vehicle := vehicles.get(value := found.get(source))) is not None:
                 raise self.log.refusal(
@@ -120,11 +120,11 @@ class Import:
     def _find(
         self,
         what: str,  # ``rates`` or ``actuators``
-        # The kinds that can be read, the preferred first, and the fields that they must have
+        # Supported kinds, the preferred first, and the fields that each needs
         fields: Mapping[str, Collection[str]],
         find: Callable[[str, int], Messages | None],
     ) -> Usable:
-        """Find the messages asked for, or all kinds that would do."""
+        """Return the messages that the user chose, or all suitable kinds."""
         wanted: str | None = getattr(self.choice, f"{what}_topic")
         instance: int = getattr(self.choice, f"{what}_instance")
         if wanted is not None and wanted not in fields:
@@ -143,10 +143,10 @@ class Import:
         return found
 
     def _choose(self, usable: Usable) -> str:
-        """Name the messages to take: the first that are fast enough and cover the flight.
+        """Return the kind to take: the first that is fast enough and covers the flight.
 
-        If none are, the fastest that cover it. What there is to choose from is said, and why
-        what stands nearer to the sensor or the actuators is passed over.
+        If none is fast enough, the fastest that covers it. The findings list the kinds, and the
+        reason to reject each that is nearer to the sensor or the actuators.
         """
         names = list(usable)
         stamps = {name: messages.stamp_ns for name, messages in usable.items()}
@@ -182,7 +182,7 @@ class Import:
         return chosen
 
     def _to_log_faster(self, name: str) -> str:
-        """Say which logging option makes the autopilot log some messages in full."""
+        """Return the logging option for the full rate of a kind of messages, in parentheses."""
         parameter = self.table["logging"]["parameter"]
         option = next((o for o in self.table["logging"]["options"] if name in o["messages"]), None)
         if option is None:
@@ -194,11 +194,11 @@ class Import:
         value = int(self.log.parameters[parameter])
         if value >> option["bit"] & 1:
             return f" ({parameter} {value}, although it has '{option['name']}'){tail}"
-        self.asked |= 1 << option["bit"]  # with what was asked for before
-        return f" ({parameter} {value}: make it {value | self.asked}, '{option['name']}'){tail}"
+        self.advised |= 1 << option["bit"]  # with those advised before
+        return f" ({parameter} {value}: make it {value | self.advised}, '{option['name']}'){tail}"
 
     def _note(self, kind: str, name: str, *, chosen: bool = False) -> None:
-        """Say what the table has to say of messages that are read, and more of those chosen."""
+        """Add the table's notes on messages to the findings; more notes if they are chosen."""
         notes: Mapping[str, Any] = self.table["notes"].get(kind, {})
         if "read" in notes:
             self.findings.read.append(notes["read"].format(name=name))
@@ -215,7 +215,7 @@ class Import:
     # --- flight, rates, commands ------------------------------------------------------------------
 
     def _take_flight(self) -> None:
-        """Take the stretches in the air; if nothing says more, those in which it was armed."""
+        """Find the stretches in the air; if the log lacks them, those with armed motors."""
         for state, sources in self.table["flight"].items():
             found = self._stretches(sources)
             if found is None or (self.flown is not None and found[1]):
@@ -235,16 +235,16 @@ class Import:
             self.findings.assumed.append(self.table["always_flies"])
 
     def _stretches(self, sources: Mapping[str, Any]) -> tuple[str, Stretches] | None:
-        """Return what tells a state, and when it holds; None if nothing does."""
-        for name, says in sources.items():
+        """Return source and stretches of a state; None if the log lacks it."""
+        for name, entry in sources.items():
             messages = self.log.messages(name)
-            if messages is None or not messages.has(says["field"]):
+            if messages is None or not messages.has(entry["field"]):
                 continue
-            values, source = messages.columns[says["field"]], f"{name}.{says['field']}"
-            t_ns, active = messages.stamp_ns, np.isin(values, says["begin"])
-            if "end" in says:
-                known, source = active | np.isin(values, says["end"]), name
-                # Before the first change it was the other.
+            values, source = messages.columns[entry["field"]], f"{name}.{entry['field']}"
+            t_ns, active = messages.stamp_ns, np.isin(values, entry["begin"])
+            if "end" in entry:
+                known, source = active | np.isin(values, entry["end"]), name
+                # Before the first change the state was the opposite.
                 t_ns, active = np.append(0, t_ns[known]), active[known]
                 active = np.append(~active[:1], active)
             if len(active):
@@ -253,7 +253,7 @@ class Import:
         return None
 
     def _rates(self) -> Stream:
-        """Read the rates asked for, or the first that are fast enough, or the fastest."""
+        """Read the rates that the user chose, or the first that are fast enough, or the fastest."""
         fields = self.table["rates"]
         usable = self._find("rates", fields, self.log.messages)
         name = self._choose(usable)
@@ -266,7 +266,7 @@ class Import:
         return rates_stream(messages.name, messages.sample_ns, rates, force)
 
     def _actuators(self) -> Actuators:
-        """Read the commands asked for, or the best of those that say what they move."""
+        """Read the commands that the user chose, or the best of those with known effects."""
         readers = self.readers()
         usable = self._find("actuators", dict.fromkeys(readers, ()), self.commands)
         name = self._choose(self.explained(usable))
@@ -284,7 +284,7 @@ class Import:
         return commands, channels
 
     def demands(self, messages: Messages) -> Actuators:
-        """Read controls from before the mixer, which the table explains field by field."""
+        """Read the commands before the mixer; the table has the channel of each field."""
         known = self.table["controls"][messages.name.partition("[")[0]]
         channels = {
             field: Channel(
@@ -306,7 +306,7 @@ class Import:
         return messages.stream(*channels), list(channels.values())
 
     def note_orientation(self, consequence: str) -> None:
-        """Say how the board stands in the body, and who has turned the rates by it."""
+        """Add the board orientation to the findings; `consequence` gives its use on the rates."""
         parameter = self.table["orientation"]["parameter"]
         if parameter not in self.log.parameters:
             self.findings.assumed.append(
@@ -326,11 +326,11 @@ class Import:
         )
 
     def fine_angles(self) -> list[float]:
-        """Return by how much the board is turned beyond that: roll, pitch, yaw, deg."""
+        """Return the fine offsets of the board orientation: roll, pitch, yaw, deg."""
         return [self.log.parameter(name) for name in self.table["orientation"]["fine"]]
 
     def _force(self, kind: str, rates: Messages) -> Force:
-        """Specific force with the rates: theirs, or of other messages that are fast enough."""
+        """Return the specific force, from the messages of the rates or from other fast ones."""
         forces = self.table["force"]
         if kind in forces and rates.has(*forces[kind]):
             return rates.values(*forces[kind])
@@ -348,7 +348,7 @@ class Import:
     # --- the rest ---------------------------------------------------------------------------------
 
     def flight_log(self) -> FlightLog:
-        """Read all that the table tells to read."""
+        """Return the log, with all that the table lists."""
         self._take_flight()
         streams = {"rates": self._rates()}
         commands, channels = self._actuators()
@@ -382,7 +382,7 @@ class Import:
         )
 
     def _first(self, name: str, *, sampled: bool = False) -> Stream | None:
-        """Return the first of the messages that the table has for a stream, (k, C)."""
+        """Return a stream, (k, C), from the first of its kinds of messages with finite values."""
         for kind, fields in self.table["streams"][name].items():
             messages = self.log.messages(kind)
             if messages is not None and messages.has(*fields):
@@ -394,7 +394,7 @@ class Import:
         return None
 
     def _estimates(self) -> dict[str, Stream]:
-        """Find what the autopilot knew and wanted: airspeed, attitude, rates asked for, mode."""
+        """Return the autopilot's airspeed, attitude, rate setpoint and mode, where logged."""
         streams = {}
         if airspeed := self._first("airspeed", sampled=True):
             speed = (airspeed.values * self._airspeed_ratio(airspeed))[:, 0]
@@ -439,12 +439,12 @@ class Import:
         if any((x, y, z)):
             self.findings.read.append(f"accelerometer at {x:g} {y:g} {z:g} m ({prefix}X, Y, Z)")
         else:
-            said_by = f" ({prefix}* 0)" if prefix else ""
-            self.findings.assumed.append(f"the accelerometer is at the centre of gravity{said_by}")
+            origin = f" ({prefix}* 0)" if prefix else ""
+            self.findings.assumed.append(f"the accelerometer is at the centre of gravity{origin}")
         return x, y, z
 
     def _ground_speed(self) -> float:
-        """Return the median speed over ground in flight, m/s; 0 if it is not known."""
+        """Return the median ground speed in flight, m/s; 0 if unknown."""
         if (ground := self._first("ground_speed")) is None:
             return 0.0
         if self.flown:

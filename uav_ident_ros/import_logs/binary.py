@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Binary logs whose messages follow one another: which bytes are messages, over damaged places."""
+"""Location of the messages in a binary log, in spite of damaged bytes."""
 
 import re
 from array import array
@@ -8,50 +8,49 @@ from collections.abc import Sequence
 from uav_ident_ros.import_logs.log import Log
 
 Gap = tuple[int, int]
-"""Where bytes that are no message begin and end."""
+"""Start and end of bytes that are no message."""
 
 CUT_OFF = "the file is cut off at its end: what is there was read"
 
 
 class BinaryLog:
-    """What a format has to say of itself, for its messages to be found over damaged places."""
+    """A binary log of consecutive messages; each format defines the abstract methods."""
 
-    begins: re.Pattern[bytes]  # Matches where a message may begin that is certain to be one
+    begins: re.Pattern[bytes]  # Matches possible starts of a message behind a gap
 
     def __init__(self, data: bytes) -> None:
         self.data, self.size = data, len(data)
 
     def length(self, at: int) -> int:
-        """Return the length of the message that begins here, bytes; 0 if none does."""
+        """Return the length of the message that starts here, bytes; 0 if none does."""
         raise NotImplementedError
 
     def is_misread(self, last: int, at: int, following: int) -> bool:
-        """Whether the type of the last message is what is damaged, and not what begins behind it.
+        """Return whether the type of the last message is damaged, rather than the bytes behind it.
 
-        It may have led to no message (at), although it ends before the following one.
+        No message begins at its end, `at`; the next certain one begins at `following`.
         """
         return False
 
-    def learn(self, at: int, length: int) -> None:
-        """Take what the message that begins here says of those that follow."""
+    def register(self, at: int, length: int) -> None:
+        """Store the declarations in the message that begins here; later messages rely on them."""
         raise NotImplementedError
 
     def rest(self, at: int) -> str | None:
-        """Say what the bytes from here to the end are, in a sentence or none; None if damage."""
+        """Return a remark on the bytes from here to the end, '' if harmless; None if damaged."""
         raise NotImplementedError
 
     def walk(self, start: int) -> tuple[Sequence[int], list[Gap]]:
-        """Return where messages begin, and the gaps between them.
+        """Return the start positions of the messages, and the gaps between them.
 
-        A message is taken if it begins where the one before it ends, or, behind a gap, where one
-        begins for certain. What has led to no message was none itself, if it reaches into the one
-        that follows.
+        A message counts if it starts at the end of the one before or, behind a gap, if it is
+        certain (`_next_certain`). One before a gap does not count if it overlaps the next.
         """
         places, gaps = array("q"), list[Gap]()
         at = last = start
         while at < self.size:
             if length := self.length(at):
-                self.learn(at, length)
+                self.register(at, length)
                 places.append(at)
                 at, last = at + length, at
                 continue
@@ -64,7 +63,7 @@ class BinaryLog:
         return places, gaps
 
     def _next_certain(self, start: int) -> int:
-        """Return where the next two messages follow each other, or one ends the file."""
+        """Return the start of the next message that ends at another one or at the end of file."""
         for found in self.begins.finditer(self.data, start):
             end = found.start() + (length := self.length(found.start()))
             if length and (end == self.size or self.length(end)):
@@ -72,7 +71,7 @@ class BinaryLog:
         return self.size
 
     def note_loss(self, log: Log, gaps: list[Gap]) -> None:
-        """Say how much of the file could not be read, once the samples are in the log."""
+        """Add the unreadable share of the file to the findings; `log` must have its samples."""
         if gaps and gaps[-1][1] == self.size and (rest := self.rest(gaps[-1][0])) is not None:
             gaps.pop()
             log.findings.lost += [rest] if rest else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blackbox logs of Betaflight and its kin (`.bbl`, `.bfl`), read by orangebox: multirotors."""
+"""Blackbox logs of Betaflight and related firmware (`.bbl`, `.bfl`): quadrotors only."""
 
 import logging
 import math
@@ -24,14 +24,14 @@ MAGIC = b"H Product:Blackbox flight data recorder"
 KNOWN = table("betaflight")
 
 SIGNALS = (*KNOWN["rates"], *KNOWN["force"], "motor")
-"""Fields that are measured or commanded."""
+"""Fields of measurements and commands."""
 
 WRAP = 2.0**32
-"""Range of the numbers that Betaflight computes with."""
+"""Range of Betaflight's 32-bit integers."""
 
 
 def read_blackbox(path: Path, choice: Choice) -> FlightLog:
-    """Read the longest log of a file."""
+    """Read the longest log in a file."""
     if choice != Choice():
         raise ImportLogError(f"log '{path}': a blackbox has one set of rates and one of motors")
     log = Log(path)
@@ -47,15 +47,15 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
             log.add(name, 0, {IN_NS: t_ns, **columns})
     if not log.kinds:
         raise log.refusal(" has no frame with a stamp that a clock gave")
-    it = _Blackbox(log, KNOWN, choice)
-    it.headers = headers
-    return it.flight_log()
+    importer = _Blackbox(log, KNOWN, choice)
+    importer.headers = headers
+    return importer.flight_log()
 
 
 class _Blackbox(Import):
-    """What is known of Betaflight: the motors of its quad x."""
+    """Import of a Betaflight log: the motors of its quad x."""
 
-    headers: Mapping[str, Any]  # What the log says of itself
+    headers: Mapping[str, Any]  # Headers of the log
 
     def hovers(self, commands: Stream) -> bool:
         return True
@@ -64,7 +64,7 @@ class _Blackbox(Import):
         return {"motor": self._motors}
 
     def _motors(self, messages: Messages) -> Actuators:
-        """Motors of a quadrotor in X, in Betaflight's order."""
+        """Return the commands and channels of a quadrotor in X, in Betaflight's motor order."""
         log, headers = self.log, self.headers
         values, arms = messages.array("motor"), KNOWN["quad_x"]
         if values.shape[1] != len(arms):
@@ -90,8 +90,8 @@ class _Blackbox(Import):
 
 
 def _scales(log: Log, headers: dict[str, Any], frames: dict[str, Column]) -> dict[str, float]:
-    """Return the SI units of the signals that mean something, by the first letters of theirs."""
-    bits = headers.get("gyro_scale", "0x3f800000")  # a float's, in hexadecimal digits
+    """Return the SI unit of one count of each usable signal, by the first letters of its fields."""
+    bits = headers.get("gyro_scale", "0x3f800000")  # bits of a float, in hexadecimal digits
     number = int(bits, 16) if isinstance(bits, str) else int(bits)
     gyro = float(np.uint32(number).view(np.float32)) * math.pi / 180.0
     scales = dict.fromkeys(KNOWN["rates"], gyro) | {"motor": 1.0}
@@ -108,12 +108,12 @@ def _scales(log: Log, headers: dict[str, Any], frames: dict[str, Column]) -> dic
 
 
 def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
-    """Return the headers and the frames of the longest log of a file."""
+    """Return the headers and the frames of the longest log in a file."""
     try:
         from orangebox import Parser
     except ImportError:
         raise log.lacks("orangebox", "blackbox logs", "blackbox", "orangebox<0.5") from None
-    logging.getLogger("orangebox").addHandler(logging.NullHandler())  # it is wordy on stderr
+    logging.getLogger("orangebox").addHandler(logging.NullHandler())  # silent on stderr
     parser = Parser.load(str(log.path), allow_invalid_header=True)
     starts = [*parser.reader.log_pointers, log.path.stat().st_size]
     longest = int(np.argmax(np.diff(starts))) + 1
@@ -149,14 +149,14 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
 def _unwrapped(values: FloatArray) -> FloatArray:
     """Return 32-bit numbers as signed ones.
 
-    What is logged is a difference from a prediction, which Betaflight's arithmetic wraps and
-    orangebox's does not: a motor at 0, below its least command of 138, is read as 2^32.
+    The log holds differences from a prediction. Betaflight's arithmetic wraps, that of orangebox
+    does not: it reads a motor at 0, below its least command of 138, as 2^32.
     """
     return np.asarray((values + WRAP / 2.0) % WRAP - WRAP / 2.0)
 
 
 def _note_missing(iterations: Any, log: Log) -> None:
-    """Say how many frames the logger or the reader has left out."""
+    """Add the number of missing frames to the findings."""
     if len(iterations) < 2:
         return
     steps = np.diff(iterations)

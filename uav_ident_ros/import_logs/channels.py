@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the channels of an autopilot do: their shares in the inputs, their ranges, mixers of rotors.
+"""Effects of an autopilot's channels: weights in the inputs, ranges, mixers of rotors.
 
-Signs as everywhere in the project: positive de pitches down, dr yaws left, da rolls right. The
-autopilots count pitch up and yaw right as positive.
+A positive de pitches down, dr yaws left, da rolls right, as in the whole package. The autopilots
+count pitch up and yaw right as positive.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,18 +15,18 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import Channel, Effect
 
 PWM_MIN, PWM_TRIM, PWM_MAX = 1000.0, 1500.0, 2000.0
-"""Pulse widths of least, rest and full where no parameter says, us."""
+"""Default pulse widths of the least, rest and full command, us."""
 
 SENSES = {"ccw": 1.0, "cw": -1.0}
 """Yawing moment per thrust, right positive, by the rotor's sense of rotation from above."""
 
 ROTATION_RANGE = 2.0
-"""Sum of the weights' absolute values in de, dr, da of a multirotor: one is then half of the
-motors at full and half at nothing. As in config/px4_quadrotor.yaml."""
+"""Sum of the absolute weights of each of de, dr, da of a multirotor: at 1 half of the motors are
+at full, the others at zero. As in config/px4_quadrotor.yaml."""
 
 
 def effect_of(entry: Mapping[str, Any], share: float = 1.0) -> Effect:
-    """Return the effect of what rolls right, pitches up, yaws right and pushes by some shares."""
+    """Return the effect of an entry of shares in roll right, pitch up, yaw right and thrust."""
     roll, pitch, yaw, thrust = (
         float(entry.get(axis, 0.0)) * share for axis in ("roll", "pitch", "yaw", "thrust")
     )
@@ -36,7 +36,7 @@ def effect_of(entry: Mapping[str, Any], share: float = 1.0) -> Effect:
 def effects_of_arms(arms: Sequence[str]) -> list[Effect]:
     """Return the effects of equal rotors, each given as its arm's angle and sense of rotation.
 
-    The angle is clockwise from the nose, deg. A third word is the share in yawing, if not one.
+    The angle is clockwise from the nose, deg. A third field is the share in yaw, 1 by default.
     """
     angles, senses, shares = zip(*([*arm.split(), "1"][:3] for arm in arms), strict=True)
     bearings = np.radians(np.array(angles, dtype=float))
@@ -52,7 +52,7 @@ def rotor_effects(
     moment_ratios: Sequence[float],
     thrusts: Sequence[float],  # Relative thrust at full command
 ) -> list[Effect]:
-    """Effects of the upward rotors of a multirotor, each row of the mixing in a fixed range."""
+    """Return the effects of upward rotors; the weights of each rotation sum to `ROTATION_RANGE`."""
     thrust = np.asarray(thrusts, dtype=float)
     forward, right = positions.T
     rows = np.array([-right, forward, moment_ratios]) * thrust
@@ -69,15 +69,15 @@ def over_range(
     low: float,  # low, high: raw values at the ends of the range
     high: float,
     *,
-    centre: float | None = None,  # Raw value at rest of what deflects to both sides
-    turned: bool = False,  # Whether the range is turned round
+    centre: float | None = None,  # Raw value at rest, of a two-sided channel
+    turned: bool = False,  # Whether the direction is reversed
 ) -> Channel:
-    """Return a channel that runs from nothing to full, or from its centre to both sides.
+    """Return the channel with the scale of a range: zero to full, or two-sided about a centre.
 
     Raises
     ------
     ValueError
-        If that is no range.
+        If high is not above low.
     """
     if not high > low:
         raise ValueError(f"{channel.name} is said to run from {low:g} to {high:g}: no range")
@@ -90,7 +90,7 @@ def over_range(
 
 
 def named_once(channels: Sequence[Channel]) -> list[Channel]:
-    """Return the channels with ``_2``, ``_3`` ... behind names that occur again."""
+    """Return the channels with unique names: repeated ones end in ``_2``, ``_3`` ..."""
     names = [channel.name for channel in channels]
     counts = [names[: i + 1].count(name) for i, name in enumerate(names)]
     return [

@@ -23,7 +23,7 @@ from uav_ident_ros.import_logs.flight_log import (
     printable,
 )
 from uav_ident_ros.import_logs.px4 import read_px4
-from uav_ident_ros.import_logs.stamps import describe, doubts
+from uav_ident_ros.import_logs.stamps import describe, irregularities
 
 DAMAGED = 1
 """Exit status if a part of the log could not be read."""
@@ -38,10 +38,10 @@ READERS = {
 WIDTH = 100
 
 CHANGES = "mode"
-"""The stream that comes with each change, and has no rate."""
+"""The stream with a sample for each change, and so without a rate."""
 
 FIRST_BYTES = 400
-"""Enough for the header line of a table, too."""
+"""Bytes read to recognise a log; they contain the header line of a table."""
 
 _DESCRIPTION = """\
 Turn a PX4 log (.ulg), an ArduPilot dataflash log (.bin), a blackbox log of Betaflight (.bbl) or a
@@ -93,14 +93,14 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return the exit status: `DAMAGED` if a part of the log is lost."""
+    """Run the command; return the exit status, `DAMAGED` if a part of the log is unreadable."""
     options = parser().parse_args(arguments)
     try:
         from uav_ident_ros.bags.writing import BagWriteError
         from uav_ident_ros.import_logs.writing import (
             PARAMETER_FILE,
             fitting,
-            in_words,
+            summary,
             write_import,
         )
     except ImportError as error:
@@ -117,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
     print(f"{log.path.name}: {log.title}")
-    for title, sentences in in_words(log, values).items():
+    for title, sentences in summary(log, values).items():
         print(f"\n{title}")
         for sentence in sentences:
             print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
@@ -127,12 +127,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def read_log(options: argparse.Namespace) -> FlightLog:
-    """Read the log as the options say; whatever its bytes do to a reader becomes one line."""
+    """Read the log by the options; every failure of a reader becomes an `ImportLogError`."""
     try:
         log = _read(options.log, options)
     except ImportLogError:
         raise
-    except Exception as error:  # what damaged bytes mean is not to be foreseen
+    except Exception as error:  # damaged bytes make readers fail in any way
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ImportLogError(
             f"log '{options.log}' cannot be used: what it says makes no sense ({reason})"
@@ -145,7 +145,7 @@ def read_log(options: argparse.Namespace) -> FlightLog:
 
 
 def _read(path: Path, options: argparse.Namespace) -> FlightLog:
-    """Read the log with the reader that its first bytes ask for."""
+    """Read the log with the reader for its first bytes."""
     start = px4_log.MAGIC if path.is_dir() else _first_bytes(path)
     choice = Choice(**{f.name: getattr(options, f.name) for f in fields(Choice)})
     for magic, read in READERS.items():
@@ -183,11 +183,11 @@ def _first_bytes(path: Path) -> bytes:
 
 
 def _note_streams(log: FlightLog) -> None:
-    """Add to the findings what the stamps tell."""
+    """Add rates, gaps and other irregularities of the streams to the findings."""
     for name, stream in log.streams.items():
         if name != CHANGES:
             log.findings.read.append(f"{name}: {describe(stream.t_ns)}")
-            log.findings.lost += [f"{name}: {doubt}" for doubt in doubts(stream.t_ns)]
+            log.findings.lost += [f"{name}: {text}" for text in irregularities(stream.t_ns)]
     values = log.streams["actuators"].values[:, [column for column, _ in log.used]]
     if without := int((~np.isfinite(values)).any(axis=1).sum()):
         log.findings.lost.append(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables (`.csv`) with one row per instant, and the YAML file that says what their columns mean."""
+"""Tables (`.csv`) with one row per instant, and their column maps in YAML."""
 
 import csv
 import math
@@ -38,10 +38,10 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "specific_force": {"m/s^2": 1.0, "g": GRAVITY},
     "airspeed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "kn": 1852.0 / 3600.0},
 }
-"""Units of each quantity, SI, of the time ns; the first is the usual one."""
+"""Units of each quantity in SI, of the time in ns; the first is the default."""
 
 VECTORS = ("rates", "specific_force")
-"""Quantities of three columns, perhaps in counts of a raw sensor."""
+"""Quantities of three columns, in units or in counts of a raw sensor."""
 
 EXAMPLE = """\
 time: {column: t, unit: s}
@@ -60,16 +60,16 @@ channels:
 class ColumnMap:
     """Meaning of the columns of a table."""
 
-    # By the quantity, those of `UNITS` that the table has: its columns, and its unit, SI or ns
+    # Columns and unit (SI or ns) of each quantity of `UNITS` in the table
     quantities: Mapping[str, tuple[list[str], float]]
     channels: dict[str, Channel]  # Channel by column
     axes: str  # ``frd`` or ``flu``
     lever_arm: tuple[float, float, float]  # Accelerometer from the centre of gravity, m, FRD
-    delimiter: str  # Between the cells
+    delimiter: str  # Separator of the cells
 
 
 def load_column_map(path: Path) -> ColumnMap:
-    """Read a column map; what is missing, unknown or not allowed is named."""
+    """Read a column map; an `ImportLogError` names a missing, unknown or wrong entry."""
     try:
         return _column_map(yaml.safe_load(path.read_text(encoding="utf-8")))
     except UNUSABLE as error:
@@ -98,7 +98,7 @@ def _quantity(content: Any, name: str) -> tuple[list[str], float]:
     key, more = ("columns", ("unit", "counts")) if name in VECTORS else ("column", ("unit",))
     entry = mapping(content, name, (key,), more)
     units = UNITS[name]
-    # Rates in the wrong unit would pass for others.
+    # Rates in a wrong unit look plausible: their unit has no default.
     unit = entry.get("unit", None if name == "rates" else next(iter(units)))
     if unit not in [*units]:
         found = "missing" if unit is None else f"'{unit}'"
@@ -144,7 +144,7 @@ def _three(value: Any, name: str, what: str) -> list[Any]:
 TOO_LATE = "; shift the column, or say its unit in the column map"
 
 COMMENT = "#"
-"""Lines that begin with it are skipped."""
+"""Start of lines that are skipped."""
 
 EMPTY = ("", "nan", "NaN", "NA", "null")
 """Cells without a value: the stream has no sample in this row."""
@@ -153,8 +153,8 @@ EMPTY = ("", "nan", "NaN", "NA", "null")
 def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
     """Read a table.
 
-    A row gives a sample of the rates if it has all three, one of the actuators if it has any
-    channel, and so on: streams of different rates fit into one table with empty cells.
+    A row is a sample of a stream if all the stream's cells have values; one channel suffices for
+    the actuators. Streams of different rates thus share a table with empty cells.
     """
     log = Log(path, "table")
     try:
@@ -185,7 +185,7 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
 
 
 def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
-    """Return the streams of a table whose rows follow each other in time."""
+    """Return the streams of a table; its rows must be in the order of time."""
     if rows is None:
         raise EntryError("it has no row with a stamp that a clock gave")
     t_ns = rows.stamp_ns
@@ -218,7 +218,7 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
 
 
 def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str, Column]:
-    """Return the columns of the map, NaN where empty, and the stamps."""
+    """Return the stamps and the mapped columns of a table, NaN for empty cells."""
     reader = csv.reader(file, delimiter=columns.delimiter)
     rows = (
         (reader.line_num, [cell.strip() for cell in cells])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An ArduPilot dataflash log file: messages as arrays, parameters, what is damaged.
+"""Reader of ArduPilot dataflash logs: messages as arrays, parameters, damage.
 
-The format describes itself: every message begins with two fixed bytes and the number of its type,
-and FMT messages say how long a type is and what it holds. Where that does not hold, the reader
-looks for the next place where it does, and says how much lies between.
+Every message begins with two fixed bytes and the number of its type. FMT messages declare length
+and fields of the types. Behind damaged bytes reading continues at the next certain message, and
+the findings give the loss.
 """
 
 import re
@@ -28,13 +28,12 @@ MAGIC = HEADER + bytes([FMT])
 """First bytes of every dataflash log."""
 
 TRAILER = 528
-"""Logs are written in pages of at most so many bytes: less than one behind the last message is
-no damage."""
+"""Largest page of a log, bytes: less than a page behind the last message is padding, no damage."""
 
 INSTANCE_FIELD = "I"
 
 OLD_INSTANCES = {"IMU2": ("IMU", 1), "IMU3": ("IMU", 2)}
-"""Type and instance of what was a type of its own before there was a field for it."""
+"""Present type and instance of the old types of messages, which had no field for the instance."""
 
 FIELD_TYPES = {
     "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8",
@@ -44,19 +43,19 @@ FIELD_TYPES = {
 """NumPy type of each format character."""
 
 DIVISORS = {**dict.fromkeys("cCeE", 100.0), "L": 1e7}
-"""What the integers of a format character are to be divided by."""
+"""Divisors of the integers of a format character."""
 
 
 @dataclass
 class Kind:
-    """A type of messages as its declaration describes it."""
+    """A declared type of messages."""
 
     name: str
     dtype: np.dtype[np.void]  # Its first field is the header
-    divisors: dict[str, float]  # What the values of some fields are to be divided by
+    divisors: dict[str, float]  # Divisors of the scaled fields
 
     def columns(self, data: bytes, places: Sequence[int]) -> dict[str, Column]:
-        """Return the fields of the messages at some places as arrays, in their declared units."""
+        """Return the fields of the messages at some places as arrays, in declared units."""
         size, divisors = self.dtype.itemsize, self.divisors
         rows = np.frombuffer(b"".join(data[at : at + size] for at in places), self.dtype)
         return {
@@ -66,7 +65,7 @@ class Kind:
 
 
 def read_dataflash(path: Path, types: Collection[str]) -> Log:
-    """Read some types of the messages of a dataflash log."""
+    """Read messages of some types, texts and parameters of a dataflash log."""
     log, data = Log(path), path.read_bytes()
     found = _Dataflash(data)
     places, gaps = found.walk(0)
@@ -111,7 +110,7 @@ class _Dataflash(BinaryLog):
         self._declare(FMT, _kind(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"))
 
     def _declare(self, number: int, kind: Kind) -> None:
-        """Take a type; the first declaration counts, a later one may be damaged."""
+        """Add a type; the first declaration counts, a later one may be damaged."""
         if number not in self.kinds:
             self.kinds[number] = kind
             self._lengths.add(kind.dtype.itemsize)
@@ -124,18 +123,18 @@ class _Dataflash(BinaryLog):
         return kind.dtype.itemsize if kind and at + kind.dtype.itemsize <= self.size else 0
 
     def is_misread(self, last: int, at: int, following: int) -> bool:
-        # With it the gap is as long as a message, and what begins behind it is not but for a byte.
+        # Then message plus gap have the length of a type, and at most one header byte is right.
         first, second, number = self.data[at : at + 3].ljust(3, b"\0")
         alike = (first == HEADER[0]) + (second == HEADER[1]) + (number in self.kinds)
         return following - last in self._lengths and alike < 2
 
-    def learn(self, at: int, length: int) -> None:
+    def register(self, at: int, length: int) -> None:
         if self.data[at + 2] != FMT:
             return
         declared, size, *texts = struct.unpack("<3xBB4s16s64s", self.data[at : at + length])
         try:
             kind = _kind(*texts)
-        except ValueError:  # it contradicts itself
+        except ValueError:  # contradictory
             return
         if kind.dtype.itemsize == size:
             self._declare(declared, kind)
@@ -146,8 +145,8 @@ class _Dataflash(BinaryLog):
         return CUT_OFF if self.data[at:].startswith(HEADER) else ""
 
 
-def _kind(called: bytes, characters: bytes, columns: bytes) -> Kind:
-    """Return a type of messages as its declaration describes it; ValueError if it cannot be."""
+def _kind(raw_name: bytes, characters: bytes, columns: bytes) -> Kind:
+    """Return the declared type of messages; raises ValueError if the declaration is invalid."""
     names = list(filter(None, _text(columns).split(",")))
     types = _text(characters)
     if len(names) != len(types) or not {*types} <= FIELD_TYPES.keys():
@@ -155,7 +154,7 @@ def _kind(called: bytes, characters: bytes, columns: bytes) -> Kind:
     fields = list(zip(names, types, strict=True))
     dtype = np.dtype([("", "S3"), *((name, FIELD_TYPES[kind]) for name, kind in fields)])
     divisors = {name: DIVISORS[kind] for name, kind in fields if kind in DIVISORS}
-    return Kind(_text(called), dtype, divisors)
+    return Kind(_text(raw_name), dtype, divisors)
 
 
 def _text(characters: bytes) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An autopilot's log in memory: messages as arrays, parameters, what there is to say of it."""
+"""An autopilot's log in memory: messages as arrays, parameters, findings."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,36 +18,36 @@ Column = NDArray[Any]
 """Values of one field, in the type of the log."""
 
 IN_NS = "stamp [ns]"
-"""Name of a column of stamps that are in ns already."""
+"""Name of a column of stamps in ns."""
 
 STAMPS = {IN_NS: 1, "timestamp": NS_PER_US, "TimeUS": NS_PER_US, "TimeMS": 1_000_000}
-"""Fields of the time since the autopilot's start, and their unit, ns; TimeMS until 2015."""
+"""Fields of the time since the autopilot's start, and their unit in ns; TimeMS until 2015."""
 
 SAMPLED = ("timestamp_sample", "SampleUS")
-"""Fields of the time at which was sampled what a message holds, us."""
+"""Fields of the sample time of a message's values, us."""
 
 
 @dataclass(frozen=True)
 class Messages:
     """All messages of one kind and instance: PX4's topics, ArduPilot's types."""
 
-    name: str  # The kind, with ``[i]`` behind it for an instance beyond the first
+    name: str  # The kind, followed by ``[i]`` for an instance beyond the first
     # Array by field name; an entry of an array field is ``field[0]`` and so on
     columns: dict[str, Column]
 
     def has(self, *fields: str) -> bool:
-        """Whether they have all these fields."""
+        """Return whether the messages have all these fields."""
         return set(fields) <= set(self.columns)
 
     @property
     def stamp_ns(self) -> TimeArray:
-        """When they were published or logged, ns since the start of the autopilot."""
+        """Times of publication or logging, ns since the start of the autopilot."""
         name = next(name for name in STAMPS if name in self.columns)
         return np.asarray(self.columns[name]).astype(np.int64) * STAMPS[name]
 
     @property
     def sample_ns(self) -> TimeArray:
-        """When what they hold was sampled, ns; the same as `stamp_ns` where that is not said."""
+        """Sample times of the values, ns; `stamp_ns` where not logged."""
         name = next((name for name in SAMPLED if name in self.columns), None)
         if name is None:
             return self.stamp_ns
@@ -56,20 +56,20 @@ class Messages:
 
     @property
     def rate(self) -> float:
-        """Messages per second."""
+        """Sample rate, Hz."""
         return rate(self.sample_ns)
 
     def values(self, *fields: str) -> FloatArray:
-        """Values of some fields, shape (k, number of fields)."""
-        with np.errstate(invalid="ignore"):  # damaged bytes may be a NaN that signals
+        """Return the values of some fields, shape (k, number of fields)."""
+        with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
             return np.column_stack([self.columns[field] for field in fields]).astype(float)
 
     def stream(self, *fields: str) -> Stream:
-        """Return some fields, or all of an array field, as they were published."""
+        """Return the stream of some fields, at the times of publication."""
         return Stream(self.name, self.stamp_ns, self.values(*fields))
 
     def array(self, field: str) -> FloatArray:
-        """Values of an array field, shape (k, its length)."""
+        """Return the values of an array field, shape (k, its length)."""
         count = sum(name.startswith(f"{field}[") for name in self.columns)
         return self.values(*(f"{field}[{i}]" for i in range(count)))
 
@@ -78,22 +78,22 @@ class Messages:
 class Log:
     """A log in memory."""
 
-    path: Path  # Where it is from
-    title: str = ""  # What wrote it, as far as the log says
+    path: Path  # The log's file or folder
+    title: str = ""  # Firmware and version; empty if not logged
     kinds: set[str] = field(default_factory=set)  # Every kind of messages in it
-    # Parameters at the start, by name, and time (s), name and value of those that became others
+    # Parameters at the start, by name; time (s), name and value of each later change
     parameters: dict[str, float] = field(default_factory=dict)
     changes: list[tuple[float, str, float]] = field(default_factory=list)
-    texts: list[str] = field(default_factory=list)  # What the autopilot said of itself
-    findings: Findings = field(default_factory=Findings)  # What there is to say about it
+    texts: list[str] = field(default_factory=list)  # Text messages of the autopilot
+    findings: Findings = field(default_factory=Findings)  # Facts, assumptions and defects
     _found: dict[tuple[str, int], Messages] = field(default_factory=dict)
 
     def refusal(self, reason: str) -> ImportLogError:
-        """Return the error that says why the log cannot be imported."""
+        """Return the error of a log that cannot be imported, with the reason."""
         return ImportLogError(f"log '{self.path}'{reason}")
 
     def lacks(self, library: str, kind: str, extra: str, pinned: str) -> ImportLogError:
-        """Return the error that says which library to install."""
+        """Return the error of a library that is not installed."""
         return self.refusal(
             f": {library} is not installed, which reads {kind}: "
             f"pip install 'uav_ident_ros[{extra}]' or pip install '{pinned}'"
@@ -112,9 +112,9 @@ class Log:
     def add(
         self, name: str, instance: int, columns: dict[str, Column], instance_field: str = ""
     ) -> None:
-        """Add those messages whose stamps a clock gave.
+        """Add the messages with plausible stamps.
 
-        With an `instance_field` they are of several instances, as it says.
+        If there is an `instance_field`, it gives the instance of each message.
         """
         good = plausible(Messages(name, columns).stamp_ns)
         if not good.all():
@@ -131,18 +131,18 @@ class Log:
             self.kinds.add(name)
 
     def messages(self, name: str, instance: int = 0) -> Messages | None:
-        """Return the messages of a kind and instance, if there are any."""
+        """Return the messages of a kind and instance; None if there are none."""
         return self._found.get((name, instance))
 
     def instances(self, name: str) -> list[int]:
-        """Instances of a kind that have messages."""
+        """Return the instances of a kind that have messages."""
         return sorted(number for kind, number in self._found if kind == name)
 
     def parameter(self, name: str, default: float = 0.0) -> float:
-        """Return a parameter, the default if the log does not say it."""
+        """Return the value of a parameter; the default if it is not logged."""
         return float(self.parameters.get(name, default))
 
     def set_parameter(self, name: str, value: float, t: float) -> None:
-        """Take a parameter; a value that is not the first is a change at the time `t`, s."""
+        """Store the first finite value of a parameter; another one is a change at time `t`, s."""
         if np.isfinite(value) and self.parameters.setdefault(name, value) != value:
             self.changes.append((t, name, value))

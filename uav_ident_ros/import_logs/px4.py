@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PX4 logs (`.ulg`): rates, commands, airspeed and what the log says of them.
+"""PX4 logs (`.ulg`): rates, actuator commands, airspeed, parameters.
 
-Commands. Newer logs (v1.13 on, control allocation): `actuator_motors` and `actuator_servos`, whose
-meaning is in the parameters ``CA_*``, and before the allocation `vehicle_torque_setpoint` and
-`vehicle_thrust_setpoint`. Older ones (mixer files): `actuator_controls_0`, before the mixer,
-and `actuator_outputs`, behind it.
+Commands from v1.13 on (control allocation) are `actuator_motors` and `actuator_servos`, with
+effects from the parameters ``CA_*``, and before the allocation `vehicle_torque_setpoint` and
+`vehicle_thrust_setpoint`. Those of older logs (mixer files) are `actuator_controls_0`, before the
+mixer, and `actuator_outputs`, behind it.
 """
 
 from collections.abc import Callable, Mapping
@@ -39,7 +39,7 @@ QUADROTOR = 2
 """MAV_TYPE."""
 
 MOTOR_FUNCTION, SERVO_FUNCTION, FUNCTIONS_OF_A_KIND = 101, 201, 16
-"""Output functions of the first motor and servo (PWM_MAIN_FUNCn), and how many there are."""
+"""Output functions of the first motor and servo (PWM_MAIN_FUNCn), and the number of each."""
 
 MOST_PINS = 16
 PINS = ("PWM_MAIN", "PWM_AUX")
@@ -48,13 +48,13 @@ PINS = ("PWM_MAIN", "PWM_AUX")
 CONTROLS, OUTPUTS = "actuator_controls_", "actuator_outputs"
 SETPOINTS = ("vehicle_torque_setpoint", "vehicle_thrust_setpoint")
 ALLOCATED = {"actuator_motors": "CA_ROTOR_COUNT", "actuator_servos": "CA_SV_CS_COUNT"}
-"""Topics behind the control allocation, and the parameters that say how many of them there are."""
+"""Topics behind the control allocation, and the parameters with the number of their channels."""
 
 MOST_GYROS = 4
 
 
 def read_px4(path: Path, choice: Choice) -> FlightLog:
-    """Read a PX4 log: a ULog file, or a folder that ulog2csv has written."""
+    """Read a PX4 log: a ULog file, or a folder of tables from ulog2csv."""
     topics = kinds(KNOWN) | {*ALLOCATED, OUTPUTS}
     log = (read_folder if path.is_dir() else read_ulog)(path, topics)
     it = _Px4(log, KNOWN, choice)
@@ -65,7 +65,7 @@ def read_px4(path: Path, choice: Choice) -> FlightLog:
 
 
 class _Px4(Import):
-    """What is known of PX4: raw gyros, and the commands of three generations of it."""
+    """Import of a PX4 log: raw gyros, and the commands of three generations of firmware."""
 
     # --- rates ------------------------------------------------------------------------------------
 
@@ -80,7 +80,7 @@ class _Px4(Import):
         return rates, force
 
     def _valid_force(self, combined: Messages, force: Force) -> Force:
-        """Hold the last valid specific force of sensor_combined."""
+        """Return the specific force of sensor_combined; invalid samples hold the last valid one."""
         relative = combined.columns["accelerometer_timestamp_relative"]
         valid = relative != PX4_RELATIVE_TIMESTAMP_INVALID
         if force is None or not valid.any():
@@ -94,7 +94,7 @@ class _Px4(Import):
         return np.asarray(force[last])
 
     def _calibrated(self, gyro: Messages, rates: FloatArray) -> FloatArray:
-        """Apply offset and rotation to the rates of one gyro, in the board's axes."""
+        """Return the rates of sensor_gyro without offset, turned from board to body axes."""
         if not gyro.has("timestamp_sample"):
             self.findings.assumed.append(
                 "sensor_gyro without timestamp_sample (before v1.11) is calibrated, filtered and "
@@ -113,7 +113,7 @@ class _Px4(Import):
         return np.asarray((rates - self._gyro_offset(gyro)) @ board.T)
 
     def _gyro_offset(self, gyro: Messages) -> FloatArray:
-        """Calibrated offset of the gyro with this device number, rad/s, board axes."""
+        """Return the calibrated offset of the gyro with this device number, rad/s, board axes."""
         device = int(gyro.columns["device_id"][0]) if gyro.has("device_id") else 0
         for i in range(MOST_GYROS):
             if device and int(self.log.parameter(f"CAL_GYRO{i}_ID")) == device:
@@ -125,7 +125,7 @@ class _Px4(Import):
     # --- commands ---------------------------------------------------------------------------------
 
     def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
-        # The pulse widths, whose meaning is the least certain, last.
+        # Pulse widths come last: their effects are the least certain.
         return {
             **dict.fromkeys(ALLOCATED, self._allocated),
             SETPOINTS[0]: self._setpoints,
@@ -137,7 +137,7 @@ class _Px4(Import):
     def commands(self, name: str, instance: int) -> Messages | None:
         if not name.startswith(CONTROLS):
             return self.log.messages(name, instance)
-        # The sets of a VTOL of old are topics of their own.
+        # The sets of a VTOL before v1.13 are separate topics.
         wanted = self.choice.actuators_topic or f"{CONTROLS}{instance}"
         return self.log.messages(name) if name == wanted else None
 
@@ -154,18 +154,18 @@ class _Px4(Import):
         if not any(self._functions()) and self.log.parameters.get("MAV_TYPE") != QUADROTOR:
             explained.pop(OUTPUTS, None)
         streams = explained or dict(usable)
-        if set(ALLOCATED) <= set(streams):  # they count as one: what is slower decides
+        if set(ALLOCATED) <= set(streams):  # they count as one, at the rate of the slower
             del streams[max(reversed(ALLOCATED), key=lambda name: streams[name].rate)]
         return streams
 
     def hovers(self, commands: Stream) -> bool:
         if _sets_of_a_vtol(self.log) is not None:
             return self.choice.actuators_instance == 0
-        said_by = "CA_AIRFRAME" if "CA_AIRFRAME" in self.log.parameters else "MAV_TYPE"
-        return self.log.parameters.get(said_by) in KNOWN["multirotors"][said_by]
+        parameter = "CA_AIRFRAME" if "CA_AIRFRAME" in self.log.parameters else "MAV_TYPE"
+        return self.log.parameters.get(parameter) in KNOWN["multirotors"][parameter]
 
     def _allocated(self, _: Messages) -> Actuators:
-        """Motors and servos behind the control allocation."""
+        """Read the commands of motors and servos, behind the control allocation."""
         parts: list[Stream] = []
         channels: list[Channel] = []
         for name, describe in zip(ALLOCATED, (_motors, _servos), strict=True):
@@ -183,7 +183,7 @@ class _Px4(Import):
         return commands, channels
 
     def _setpoints(self, torque: Messages) -> Actuators:
-        """Torque and thrust asked of the control allocation."""
+        """Read the torque and thrust setpoints, before the control allocation."""
         commands, channels = self.demands(torque)
         thrust = self.log.messages(SETPOINTS[1], self.choice.actuators_instance)
         if thrust is None:
@@ -200,19 +200,19 @@ class _Px4(Import):
         return PINS[min(self.choice.actuators_instance, 1)]
 
     def _functions(self) -> list[int]:
-        """Return the functions of the pins that an instance of actuator_outputs may have."""
+        """Return the functions of all pins of an instance of actuator_outputs."""
         pins = range(1, MOST_PINS + 1)
         return [int(self.log.parameter(f"{self._pins()}_FUNC{pin}")) for pin in pins]
 
     def _outputs(self, topic: Messages) -> Actuators:
-        """Pulse widths at the pins, with functions from PWM_*_FUNCn, or a quadrotor's old mixer."""
+        """Read the pulse widths, with functions from PWM_*_FUNCn or a quadrotor's old mixer."""
         log, prefix, functions = self.log, self._pins(), self._functions()
         values = topic.array("output")
         count = min(int(np.max(topic.columns["noutputs"])) or MOST_PINS, values.shape[1])
         if any(functions):
             known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
             known |= dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
-            said = [f"{prefix}_FUNC{pin} {number}" for pin, number in enumerate(functions, 1)]
+            meanings = [f"{prefix}_FUNC{pin} {number}" for pin, number in enumerate(functions, 1)]
             instance = self.choice.actuators_instance
             log.findings.assumed.append(
                 f"instance {instance} of actuator_outputs are the pins {prefix}"
@@ -223,7 +223,7 @@ class _Px4(Import):
                 for function, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), MOTOR_FUNCTION)
             }
             functions = [*range(MOTOR_FUNCTION, MOTOR_FUNCTION + MOST_PINS)]
-            said = ["output of quad x"] * MOST_PINS
+            meanings = ["output of quad x"] * MOST_PINS
             log.findings.assumed.append(
                 "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear "
                 "right) on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
@@ -235,7 +235,7 @@ class _Px4(Import):
             )
         channels = []
         for pin, function in enumerate(functions[:count], 1):
-            channel = Channel(f"output_{pin}", NO_EFFECT, said[pin - 1], unit="us")
+            channel = Channel(f"output_{pin}", NO_EFFECT, meanings[pin - 1], unit="us")
             if (moved := known.get(function)) is not None:
                 channel = replace(channel, name=moved.name, effect=moved.effect)
                 low, high = self._width(pin, "MIN", PWM_MIN), self._width(pin, "MAX", PWM_MAX)
@@ -247,18 +247,18 @@ class _Px4(Import):
         return Stream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)
 
     def _width(self, pin: int, end: str, usual: float) -> float:
-        """Return an end of a pin's range: its own, that of a group of pins (v1.12), of all."""
+        """Return an end of a pin's range: its own, or that of its group (v1.12) or of all pins."""
         prefix = self._pins()
         names = (f"{prefix}_{end}{pin}", f"{prefix}_{end}", f"PWM_{end}")
-        widths = (self.log.parameter(name, -1.0) for name in names)  # -1: as of those
+        widths = (self.log.parameter(name, -1.0) for name in names)  # -1: not set
         return next((width for width in widths if width >= 0.0), usual)
 
 
-# --- what the parameters say ----------------------------------------------------------------------
+# --- meaning of the parameters --------------------------------------------------------------------
 
 
 def _sets_of_a_vtol(log: Log) -> tuple[str, str] | None:
-    """Name the commands of a VTOL's hover and of its forward flight; None for any other."""
+    """Return the names of a VTOL's commands in hover and in forward flight; None if no VTOL."""
     if log.parameters.get("CA_AIRFRAME") in KNOWN["vtols"]["CA_AIRFRAME"]:
         return f"{SETPOINTS[0]} of instance 0", "of instance 1"
     if log.parameters.get("MAV_TYPE") in KNOWN["vtols"]["MAV_TYPE"]:
@@ -267,7 +267,7 @@ def _sets_of_a_vtol(log: Log) -> tuple[str, str] | None:
 
 
 def _lifts(log: Log, forces: FloatArray) -> bool:
-    """Whether the thrust that counts points up rather than forward."""
+    """Return whether dth is the upward thrust; it is the forward thrust otherwise."""
     airframe = log.parameters.get("CA_AIRFRAME")
     if airframe in (MULTIROTOR, FIXED_WING):
         return airframe == MULTIROTOR
@@ -279,7 +279,7 @@ def _lifts(log: Log, forces: FloatArray) -> bool:
 
 
 def _motors(log: Log, count: int) -> list[Channel]:
-    """Meaning of the entries of actuator_motors: first the rotors."""
+    """Return the channels of actuator_motors; the rotors come first."""
     rotors = min(int(log.parameter("CA_ROTOR_COUNT")), count)
     airframe = log.parameters.get("CA_AIRFRAME")
     effects = [NO_EFFECT] * count
@@ -309,7 +309,7 @@ def _motors(log: Log, count: int) -> list[Channel]:
 
 
 def _servos(log: Log, count: int) -> list[Channel]:
-    """Meaning of the entries of actuator_servos: first the control surfaces."""
+    """Return the channels of actuator_servos; the control surfaces come first."""
     surfaces = min(int(log.parameter("CA_SV_CS_COUNT")), count)
     channels = []
     for i in range(surfaces):
@@ -318,10 +318,10 @@ def _servos(log: Log, count: int) -> list[Channel]:
         torques = {
             a: log.parameter(f"{prefix}TRQ_{a[0].upper()}") for a in ("roll", "pitch", "yaw")
         }
-        words = ", ".join(f"{axis} {torque:g}" for axis, torque in torques.items() if torque)
+        nonzero = ", ".join(f"{axis} {torque:g}" for axis, torque in torques.items() if torque)
         effect = NO_EFFECT if kind in KNOWN["without_torque"] else effect_of(torques)
         name = KNOWN["surfaces"].get(kind, f"surface_type_{kind}")
-        meaning = f"{prefix}TYPE {kind}, torques {words or 'none'}"
+        meaning = f"{prefix}TYPE {kind}, torques {nonzero or 'none'}"
         channels.append(Channel(name, effect, meaning, neutral=log.parameter(f"{prefix}TRIM")))
     channels += [Channel(f"servo_{i + 1}", NO_EFFECT, "servo") for i in range(surfaces, count)]
     channels = named_once(channels)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A PX4 log (ULog, or its tables): topics as arrays, parameters, what is damaged.
+"""Reader of PX4 logs (ULog, or tables of ulog2csv): topics as arrays, parameters, damage.
 
-pyulog reads what is certain to be messages: on its own it loses its way behind damaged bytes. By
-https://docs.px4.io/main/en/dev_log/ulog_file_format a header of 16 bytes stands before the
-messages, and each begins with its size and a letter for its type. F declares a format, A a topic
-of it, P a parameter, I a fact; D is a sample of a topic, O a dropout of the logger.
+pyulog fails behind damaged bytes: it receives only the messages that are certain. A header of 16
+bytes precedes the messages, and each begins with its size and a letter for its type. F declares a
+format, A a topic of it, P a parameter, I a fact; D is a sample of a topic, O a dropout of the
+logger (https://docs.px4.io/main/en/dev_log/ulog_file_format).
 """
 
 import contextlib
@@ -25,7 +25,7 @@ MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 """First bytes of every ULog file."""
 
 FILE_HEADER, MESSAGE_HEADER, FLAGS = 16, 3, 40
-"""Bytes before the first message, before what a message holds, and of the flags' message."""
+"""Bytes of the file's header, of a message's header, and of the body of the flags' message."""
 
 HEADER = struct.Struct("<Hc")
 
@@ -33,24 +33,24 @@ SIZES = {
     **{f"{sign}int{8 * n}_t": n for n in (1, 2, 4, 8) for sign in ("", "u")},
     **{"float": 4, "double": 8, "bool": 1, "char": 1},
 }
-"""Bytes of each type of a field."""
+"""Size of each type of field, bytes."""
 
 READ, UNREAD = frozenset("FAPIDO"), frozenset("SLCRMQ")
-"""Types of messages: those that are read, and marks, texts and values that nobody asks for."""
+"""Types of messages: those in use, and unused marks, texts and values."""
 
 KEY = re.compile(rb"([a-z0-9_]+(?:\[\d+\])?) [\w-]+")
 FORMAT = re.compile(r"([\w/]+):((?:[\w/]+(?:\[\d{1,5}\])? \w+;)*)", re.ASCII)
 FIELD = re.compile(r"([\w/]+)(?:\[(\d+)\])? (\w+);")
 
 LARGEST = 0xFFFF
-"""Bytes of the largest message: no format can be larger."""
+"""Size of the largest message, bytes: no format is larger."""
 
 DEEPEST = 8
-"""How deep formats may contain formats."""
+"""Deepest nesting of formats."""
 
 
 def read_ulog(path: Path, topics: Collection[str]) -> Log:
-    """Read some topics of a ULog file, and all it says of itself."""
+    """Read some topics, the parameters and the facts of a ULog file."""
     log, data = Log(path), path.read_bytes()
     try:
         from pyulog import ULog
@@ -72,7 +72,7 @@ def read_ulog(path: Path, topics: Collection[str]) -> Log:
     whole = io.BytesIO(b"".join([data[:FILE_HEADER], *pieces]))
     numbers = {data[at + 3 : at + 5] for at in places if data[at + 2] == ord("D")}
     log.kinds = {found.topics[int.from_bytes(number, "little")] for number in numbers}
-    with contextlib.redirect_stdout(io.StringIO()):  # it is wordy
+    with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints
         ulog = ULog(whole, sorted(found.stamped & {*topics}))
     for topic in ulog.data_list:
         log.add(topic.name, topic.multi_id, topic.data)
@@ -95,9 +95,9 @@ class _Ulog(BinaryLog):
 
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
-        self.topics: dict[int, str] = {}  # Name by the number that samples have
+        self.topics: dict[int, str] = {}  # Name by the number in the samples
         self.stamped: set[str] = set()  # Names of formats with a stamp
-        self._formats: dict[str, str] = {}  # What formats hold, by name
+        self._formats: dict[str, str] = {}  # Fields of formats, by name
         self._sizes: dict[int, int] = {}  # Length of the samples' messages, by number
 
     def header(self, at: int) -> tuple[int, str]:
@@ -117,7 +117,7 @@ class _Ulog(BinaryLog):
         part = kind in READ | UNREAD and at + length > self.size
         return CUT_OFF if part or at + MESSAGE_HEADER > self.size else None
 
-    def learn(self, at: int, length: int) -> None:
+    def register(self, at: int, length: int) -> None:
         begin, end, kind = at + MESSAGE_HEADER, at + length, self.data[at + 2]
         if kind == ord("F"):
             name, _, fields = self.data[begin:end].decode().partition(":")
@@ -130,7 +130,7 @@ class _Ulog(BinaryLog):
             self._sizes[number] = MESSAGE_HEADER + 2 + self._size(name, outer=True)
 
     def _is_known(self, kind: str, begin: int, end: int) -> bool:
-        """Whether a message holds what those of its type do, and contradicts none before it."""
+        """Return whether a message has the form of its type, and contradicts none before it."""
         data = self.data
         if kind == "D":
             number = int.from_bytes(data[begin : begin + 2], "little")
@@ -148,14 +148,14 @@ class _Ulog(BinaryLog):
         return kind in UNREAD or (kind == "O" and end - begin == 2)
 
     def _topic(self, begin: int, end: int) -> tuple[int, str]:
-        """Return the number and the name that a topic is declared with."""
+        """Return the declared number and name of a topic."""
         number, name = self.data[begin + 1 : begin + 3], self.data[begin + 3 : end]
         return int.from_bytes(number, "little"), name.decode("latin-1")
 
     def _size(self, name: str, outer: bool = False, depth: int = 0) -> int:
-        """Return the bytes of a format with those in it; 0 or too many if it is none.
+        """Return the size of a format with nested ones, bytes; 0 or above `LARGEST` if invalid.
 
-        What pads the outer one at its end is not logged.
+        The log leaves out the padding at the end of the outer format.
         """
         fields = FIELD.findall(self._formats.get(name, ""))
         while outer and fields and fields[-1][2].startswith("_padding"):
@@ -170,23 +170,23 @@ class _Ulog(BinaryLog):
 
 
 def _title(facts: Mapping[str, Any]) -> str:
-    """Return which board and firmware wrote a log."""
-    words = [str(facts.get("sys_name", "PX4"))]
+    """Return the firmware, its version and the board of a log."""
+    parts = [str(facts.get("sys_name", "PX4"))]
     release = facts.get("ver_sw_release")
     if isinstance(release, int) and release:
-        words.append("v" + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8)))
+        parts.append("v" + ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8)))
     elif "ver_sw" in facts:
-        words.append(f"firmware {str(facts['ver_sw'])[:10]}")
+        parts.append(f"firmware {str(facts['ver_sw'])[:10]}")
     if "ver_hw" in facts:
-        words.append(f"on {facts['ver_hw']}")
-    return " ".join(words)
+        parts.append(f"on {facts['ver_hw']}")
+    return " ".join(parts)
 
 
 # --- tables of ulog2csv --------------------------------------------------------------------------
 
 
 def read_folder(path: Path, topics: Collection[str]) -> Log:
-    """Read the tables of some topics, and the parameters if they are there."""
+    """Read the tables of some topics, and the parameters if present."""
     pattern = re.compile(
         rf"(?P<log>.+?)_(?P<topic>{'|'.join(map(re.escape, topics))})_(?P<instance>\d+)\.csv"
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the stamps of a stream tell: its rate, its gaps, and values at other times."""
+"""Stamps of a stream: rate, gaps, coverage, and interpolation to other times."""
 
 from collections.abc import Sequence
 
@@ -14,29 +14,29 @@ Stretches = Sequence[tuple[int, int]]
 """Start and end of stretches of time, ns."""
 
 GAP_INTERVALS, SHORTEST_GAP = 3.0, 0.02
-"""An interval of more than so many median ones, and longer than so many s, is a gap: jitter stays
-below, a lost sample or two hardly matter."""
+"""Shortest gap, in median intervals and in s; both must be exceeded. Jitter stays below, and one or
+two lost samples hardly matter."""
 
 LATEST_NS = 2**31 * NS_PER_S
-"""What a ROS stamp can hold, ns."""
+"""First time beyond the range of a ROS stamp, ns."""
 
 NEIGHBOURS = 5
-"""Stamps whose median a stamp is held against: up to two damaged ones in a row are found out."""
+"""Number of stamps in the running median: it detects up to two damaged ones in a row."""
 
 FARTHEST_NS, FARTHEST_STEPS = 1_000_000_000, 20
-"""A stamp farther from the median of its neighbours than so many ns, and so many median intervals,
-is none that the clock gave. The node lets a stamp jump by a second, too (time_jump)."""
+"""Largest distance of a plausible stamp from the median of its neighbours, in ns and in median
+intervals; the larger limit counts. The node, too, allows jumps of a second (time_jump)."""
 
 LONGEST_HOLD_NS = 500_000_000
-"""For how long a sample covers the time after it, ns: five intervals of what a logger thins out to
-10 Hz. Nothing is learned from commands that are older."""
+"""Time that a sample covers after its stamp, ns: five intervals of a stream logged at 10 Hz. The
+identifier does not learn from older commands."""
 
 
 def plausible(t_ns: TimeArray) -> BoolArray:
-    """Whether each stamp is one that a clock can have given, by the stamps around it.
+    """Return whether each stamp can come from a clock, relative to the stamps around it.
 
-    One that is not lies far from the median of its neighbours, and ahead of those that follow or
-    behind those before. A stamp after a long silence, or before one, is none of these.
+    An implausible stamp is far from the median of its neighbours, and later than those after it or
+    earlier than those before it. A stamp at either end of a long gap is plausible.
     """
     result = (t_ns >= 0) & (t_ns < LATEST_NS)
     stamps = t_ns[result]
@@ -52,22 +52,22 @@ def plausible(t_ns: TimeArray) -> BoolArray:
 
 
 def rate(t_ns: TimeArray) -> float:
-    """Rate of a stream, Hz, from its median interval; 0 if there is none."""
+    """Return the rate of a stream, Hz, from its median interval; 0 if there is none."""
     steps = np.diff(t_ns)
     steps = steps[steps > 0]
     return float(NS_PER_S / np.median(steps)) if len(steps) else 0.0
 
 
 def describe(t_ns: TimeArray) -> str:
-    """Say how many samples a stream has, over which time, at which rate."""
+    """Return number of samples, duration and rate of a stream, in words."""
     if not len(t_ns):
         return "no samples"
     seconds = float(np.max(t_ns) - np.min(t_ns)) / NS_PER_S
     return f"{len(t_ns)} samples over {seconds:.1f} s at {rate(t_ns):.4g} Hz"
 
 
-def doubts(t_ns: TimeArray) -> list[str]:
-    """Say what is wrong with the stamps of a stream: gaps, repetitions, steps back."""
+def irregularities(t_ns: TimeArray) -> list[str]:
+    """Return the defects of a stream's stamps, in words: gaps, repetitions, steps back."""
     steps = np.diff(t_ns)
     result = []
     if back := int((steps < 0).sum()):
@@ -89,7 +89,7 @@ def doubts(t_ns: TimeArray) -> list[str]:
 
 
 def inside(t_ns: TimeArray, stretches: Stretches) -> BoolArray:
-    """Whether each stamp lies in one of some stretches."""
+    """Return whether each stamp lies in one of some stretches."""
     result = np.zeros(len(t_ns), dtype=bool)
     for start, end in stretches:
         result |= (start <= t_ns) & (t_ns <= end)
@@ -97,7 +97,7 @@ def inside(t_ns: TimeArray, stretches: Stretches) -> BoolArray:
 
 
 def coverage(t_ns: TimeArray, stretches: Stretches, hold_ns: int = LONGEST_HOLD_NS) -> float:
-    """Return which share of some stretches a stream covers, 0 to 1; a sample lasts `hold_ns`."""
+    """Return the share of some stretches that a stream covers; a sample lasts `hold_ns`."""
     covered = sum(
         int(
             np.clip(np.diff(np.append(t_ns[inside(t_ns, [stretch])], stretch[1])), 0, hold_ns).sum()
@@ -110,10 +110,10 @@ def coverage(t_ns: TimeArray, stretches: Stretches, hold_ns: int = LONGEST_HOLD_
 
 def intervals(
     t_ns: TimeArray,  # (k,) Stamps of the state, ns
-    active: BoolArray,  # (k,) Whether it holds, until the next
+    active: BoolArray,  # (k,) Whether the state holds from the stamp to the next
     end_ns: int,  # End of the log, ns
 ) -> list[tuple[int, int]]:
-    """Stretches in which a logged state holds."""
+    """Return the stretches in which a logged state holds."""
     changes = np.flatnonzero(np.diff(active.astype(int), prepend=0, append=0))
     edges = np.append(t_ns, end_ns)[changes].tolist()
     return [(begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if end > begin]
@@ -128,14 +128,14 @@ def hold(t_ns: TimeArray, samples_ns: TimeArray, values: FloatArray) -> FloatArr
 
 
 def interpolate(t_ns: TimeArray, samples_ns: TimeArray, values: FloatArray) -> FloatArray:
-    """Return the columns of (k, C) values at other times, joined by straight lines, (n, C)."""
+    """Return values (k, C), interpolated linearly to other times, (n, C)."""
     origin = int(samples_ns[0])
     at, known = (t_ns - origin).astype(float), (samples_ns - origin).astype(float)
     return np.column_stack([np.interp(at, known, column) for column in values.T])
 
 
 def turned_at(t_ns: TimeArray, samples_ns: TimeArray, quaternion: FloatArray) -> FloatArray:
-    """Return unit quaternions (k, 4) at other times (n,), joined along the shorter arcs."""
+    """Return unit quaternions (k, 4), interpolated along the shorter arcs to times (n,)."""
     flips = np.cumprod(np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
     joined = interpolate(t_ns, samples_ns, quaternion * np.append(1.0, flips)[:, None])
     return np.asarray(joined / np.linalg.norm(joined, axis=1, keepdims=True))

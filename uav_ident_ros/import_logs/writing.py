@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An imported log as a bag with the standard topics, and the parameters that fit it."""
+"""Output of an import: a bag with the standard topics, and the parameters for it."""
 
 import textwrap
 from collections.abc import Iterator, Mapping
@@ -34,12 +34,12 @@ from uav_ident_ros.messages.types import FRAME_IDS
 PARAMETER_FILE = "identifier.yaml"
 
 ARMED_STEP_NS = 1_000_000_000
-"""Time between two messages that say the same of whether it is armed, ns: the type has no stamp."""
+"""Period of the armed messages between changes, ns: the type has no stamp."""
 
 STRING, BOOL = "std_msgs/msg/String", "std_msgs/msg/Bool"
 
 FIRST_NS = 1
-"""First stamp of a bag, ns: zero says in ROS that there is none, and the message would be lost."""
+"""First stamp of a bag, ns: in ROS zero means no stamp, and the message would be lost."""
 
 
 TOPICS = {
@@ -50,16 +50,16 @@ TOPICS = {
     "mode": ("/mode", STRING),
     "armed": ("/armed", BOOL),
 }
-"""Topic and type of each stream; at equal times they are written in this order."""
+"""Topic and type of each stream, in the order of writing at equal times."""
 
 
 def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> None:
-    """Write the bag, and into its folder the parameters that fit it.
+    """Write the bag, and the parameters for it into its folder.
 
     Raises
     ------
     BagWriteError
-        If it cannot be written; nothing half-written stays behind.
+        If it cannot be written; no partial output remains.
     """
     streams = dict(log.streams)
     rates = streams["rates"]
@@ -79,7 +79,7 @@ def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> Non
 
 
 def _messages(log: FlightLog, name: str, stream: Stream) -> Iterator[tuple[int, str, Any]]:
-    """Yield log time, topic and message; log times never step back, whatever the stamps do."""
+    """Yield log time, topic and message; log times do not decrease, even if stamps do."""
     stamp_ns = np.maximum(stream.t_ns, FIRST_NS)
     log_ns = np.maximum.accumulate(stamp_ns).tolist()
     for recorded, t_ns, sample in zip(log_ns, stamp_ns.tolist(), stream.values, strict=True):
@@ -87,7 +87,7 @@ def _messages(log: FlightLog, name: str, stream: Stream) -> Iterator[tuple[int, 
 
 
 def _message(log: FlightLog, name: str, t_ns: int, sample: Any) -> Any:
-    """Return the message of a sample of a stream."""
+    """Return the message for a sample of a stream."""
     match name:
         case "actuators":
             return joint_state(t_ns, [channel.name for channel in log.channels], sample)
@@ -104,9 +104,9 @@ def _message(log: FlightLog, name: str, t_ns: int, sample: Any) -> Any:
 
 
 def _armed(flown: Stretches, rates_ns: TimeArray) -> Stream:
-    """Return the state at every change, and once a second: the type has no stamp."""
+    """Return the armed state at every change and once a second: the type has no stamp."""
     start, end = int(rates_ns.min()), int(rates_ns.max())
-    # Seconds in which there are rates: a damaged stamp may lie years ahead.
+    # Only seconds with rates: a damaged stamp may be years ahead.
     seconds = start + ARMED_STEP_NS * np.unique((rates_ns - start) // ARMED_STEP_NS)
     changes = np.array([t for stretch in flown for t in stretch], dtype=np.int64)
     t_ns = np.union1d(seconds, changes[(start <= changes) & (changes < end)])
@@ -114,32 +114,32 @@ def _armed(flown: Stretches, rates_ns: TimeArray) -> Stream:
     return Stream("armed", t_ns[t_ns < end], inside(t_ns[t_ns < end], until))
 
 
-# --- the parameters that fit it -------------------------------------------------------------------
+# --- the parameters for it ------------------------------------------------------------------------
 
 
 WITHOUT_FORCES, WITHOUT_WINGS = "throttle_coupled", "augmented"
-"""Structure if there is no accelerometer, and that of a multirotor: no angle of attack tells its
-forces. The others have the default."""
+"""Structures without an accelerometer, and of a multirotor: its forces do not depend on an angle of
+attack. The others have the default."""
 
 SLOWEST_FLIGHT, FASTEST = 5.0, 400.0
-"""Airspeed, m/s, below which forces do not go with it: a multirotor's, or a sensor that is off.
-And what `airspeed.reference` may be at most."""
+"""Least airspeed of a wing, m/s: a lower one is a multirotor's or of a sensor that is off.
+And the upper limit of `airspeed.reference`, m/s."""
 
 SLOWEST_NS = 2_500_000_000
-"""For how long a sample of the airspeed counts, ns: the autopilots log one a second or more."""
+"""Time that a sample of the airspeed covers, ns: autopilots log at 1 Hz or more."""
 
 ENOUGH_AIRSPEED = 0.8
-"""Share of the flight that an airspeed must cover to be used, of what the rates cover of it."""
+"""Least coverage of the flight by a usable airspeed, relative to that by the rates."""
 
 LEARN_TRIM_TIME = 2.0
-"""Length of the steady stretch that the trim is learnt from, s."""
+"""Length of the steady stretch for the estimate of the trim, s."""
 
 DIRECTIONS = ("nose down", "nose left", "right wing down", "throttle")
-"""What a positive de, dr, da, dth does."""
+"""Direction of a positive de, dr, da, dth."""
 
 SIGNS = {"de": "-qdot/de", "dr": "-rdot/dr", "da": "+pdot/da"}
-"""What these directions make of the control derivatives: a channel that does the opposite has the
-wrong sign in the log's parameters or in the column map."""
+"""Signs of the control derivatives for these directions. If the flight differs, a channel has the
+wrong sign in the autopilot's parameters or in the column map."""
 
 COMMENT_WIDTH = 96
 
@@ -149,7 +149,7 @@ def fitting(
     trim: str,  # One of `flight_log.TRIMS`
     airspeed: bool | None,  # Whether to scale with the airspeed; None if measured in flight
 ) -> dict[str, Any]:
-    """Return the parameters of the identifier that fit a log, by dotted name."""
+    """Return the parameters of the identifier for a log, by dotted name."""
     channels = [channel for _, channel in log.used]
     values: dict[str, Any] = {
         "imu.type": IMU,
@@ -177,8 +177,8 @@ def fitting(
     return values | _airspeed(log, airspeed)
 
 
-def in_words(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return all there is to say of a log and the fitting parameters, under headings."""
+def summary(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the findings about a log and the description of its inputs, by heading."""
     channels = [channel for _, channel in log.used]
     inputs = []
     for channel, trim in zip(channels, values["actuators.trim"], strict=True):
@@ -198,8 +198,8 @@ def in_words(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def _write_parameters(path: Path, log: FlightLog, values: Mapping[str, Any]) -> None:
-    """Write the parameter file, with everything that was found out as comments."""
-    titled = in_words(log, values)
+    """Write the parameter file, with the findings as comments."""
+    titled = summary(log, values)
     heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
     if log.parameters:
         named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
@@ -218,7 +218,7 @@ def _write_parameters(path: Path, log: FlightLog, values: Mapping[str, Any]) -> 
 
 
 def _trim(log: FlightLog, trim: str) -> list[float]:
-    """Raw value of each used channel in trimmed flight."""
+    """Return the raw value of each used channel in trimmed flight."""
     flown = log.streams["actuators"].values[log.in_flight("actuators")]
     result = []
     for column, channel in log.used:
@@ -261,13 +261,13 @@ def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
 
 
 def _flown_speed(log: FlightLog) -> float:
-    """Return the median airspeed in flight, m/s; 0 if it was not measured for most of it."""
+    """Return the median airspeed in flight, m/s; 0 if it was measured for too little of it."""
     if (airspeed := log.streams.get("airspeed")) is None:
         return 0.0
     rates = log.streams["rates"].t_ns
     flown = airspeed.chosen(log.in_flight("airspeed") & (airspeed.values > 0.0))
     flight = log.flown or [(int(rates.min()), int(rates.max()))]
-    # Of what was logged: a table of several recordings, or a logger that paused, has gaps in all.
+    # Relative to the rates: joined recordings, or a paused logger, have gaps in all streams.
     logged = coverage(rates, flight, SLOWEST_NS)
     if coverage(flown.t_ns, flight, SLOWEST_NS) < ENOUGH_AIRSPEED * logged:
         return 0.0
