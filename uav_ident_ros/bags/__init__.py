@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MCAP bags: read, written, saved where damaged."""
+"""Reading, writing and salvage of bags."""

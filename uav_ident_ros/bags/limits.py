@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag may cost: how large its compressed parts may become.
+"""Limits on the memory for a bag: sizes of its compressed parts after decompression.
 
-The libraries decompress whatever a file holds: 192 kB of zstd become gigabytes. Their functions
-for it are replaced, in one place, by ones that stop.
+The libraries decompress without a limit: 192 kB of zstd become gigabytes. `guard_rosbags` replaces
+their functions by ones with a limit.
 """
 
 import os
@@ -16,25 +16,25 @@ from rosbags.rosbag1 import reader as rosbag1
 from rosbags.rosbag2 import reader, storage_mcap
 
 LARGEST_PART = 64 * 2**20
-"""Bytes of the largest compressed chunk or message, decompressed. Recorders close a chunk at one to
+"""Largest size of a chunk or message after decompression, bytes. Recorders close a chunk at one to
 eight million bytes; reading takes a few times as much memory."""
 
 LARGEST_RATIO = 100
-"""A file that is compressed as a whole may become so many times as large, or `LARGEST_PART`: Imu
-messages shrink to a fifth, those of a sensor that stands still to a fiftieth."""
+"""Largest ratio of a file that is compressed as a whole; up to `LARGEST_PART` any ratio is allowed.
+Imu messages shrink to a fifth, those of a sensor at rest to a fiftieth."""
 
 
 class TooLargeError(Exception):
-    """A compressed part of a bag becomes too large; the message says how large it may be."""
+    """A compressed part of a bag is too large; the message gives the limit."""
 
     def __init__(self, what: str, limit: int = LARGEST_PART) -> None:
         super().__init__(f"{what} holds more than {limit / 2**20:.0f} MiB when it is decompressed")
 
 
 def decompressed(data: bytes, compression: str) -> bytes:
-    """Return what a chunk holds; raises `TooLargeError` if that is more than `LARGEST_PART`.
+    """Return the content of a chunk; raises `TooLargeError` beyond `LARGEST_PART`.
 
-    The compression is ``bz2``, ``lz4``, ``zstd`` or nothing.
+    The compression is ``bz2``, ``lz4``, ``zstd`` or empty.
     """
     from lz4.frame import LZ4FrameDecompressor
 
@@ -52,10 +52,10 @@ def decompressed(data: bytes, compression: str) -> bytes:
 
 
 class _BoundedFile(reader.zstd.ZstdFile):
-    """A file compressed as a whole, for reading."""
+    """Reader of a file that is compressed as a whole, with a limit on its size."""
 
     def read(self, size: int | None = -1) -> bytes:
-        """Read some bytes."""
+        """Read up to `size` bytes; raises `TooLargeError` beyond the limit."""
         data: bytes = super().read(size)
         limit = max(LARGEST_PART, LARGEST_RATIO * os.fstat(self.fileno()).st_size)
         if self.tell() > limit:
@@ -64,7 +64,7 @@ class _BoundedFile(reader.zstd.ZstdFile):
 
 
 def guard_rosbags() -> None:
-    """Let rosbags decompress what fits, and nothing else."""
+    """Replace the decompression in rosbags by functions with a limit."""
     for name in ("lz4", "zstd"):
         storage_mcap.DECOMPRESSORS[name] = lambda data, _, name=name: decompressed(data, name)
     for name in ("bz2", "lz4"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Read bags: MCAP files, rosbag2 folders and bags of ROS 1, messages in log-time order."""
+"""Reader of MCAP files, rosbag2 folders and bags of ROS 1; messages are in log-time order."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ PARSERS: dict[MessageDefinitionFormat, Callable[[str, str], dict[str, Any]]] = {
     MessageDefinitionFormat.MSG: get_types_from_msg,
     MessageDefinitionFormat.IDL: lambda text, _: get_types_from_idl(text),
 }
-"""What reads the definition of a type, by its format, from the text and the name of the type."""
+"""Parser for each format of type definitions, from the text and the name of the type."""
 
 
-def _learn(store: Typestore, connection: Connection) -> None:
-    """Make a bag's own definition of a type known, if there is one and the type is not."""
+def _register_type(store: Typestore, connection: Connection) -> None:
+    """Register a bag's definition of a type, if it has one and the type is unknown."""
     definition, parse = connection.msgdef, PARSERS.get(connection.msgdef.format)
     if connection.msgtype in store.types or parse is None:
         return
@@ -46,14 +46,14 @@ AnyReader: TypeAlias = Reader | SalvageReader | ReaderOfRos1
 
 
 class BagError(Exception):
-    """A bag cannot be read; the message names the bag or topic and what is wrong."""
+    """A bag cannot be read; the message names the bag or topic and the problem."""
 
 
 class Message(NamedTuple):
     """One message of a bag."""
 
     topic: str
-    log_ns: int  # When it was recorded, ns
+    log_ns: int  # Time of recording, ns
     data: bytes  # The serialized message (CDR)
 
 
@@ -82,8 +82,7 @@ class Bag:
         self._stack = ExitStack()
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._readers: list[AnyReader] = []
-        # What is wrong with the bag and what was saved, a line each; grows while a damaged bag is
-        # read
+        # Defects of the bag and extent of the salvage, a line each; grows during reading
         self.damage: list[str] = []
         try:
             for reader in _opened(self.path, self.damage):
@@ -134,8 +133,8 @@ class Bag:
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Yield the messages of some topics in log-time order.
 
-        Only a chunk of the bag is in memory at a time. Where the bag turns out to be damaged,
-        `damage` says what is lost, and the rest follows.
+        Only a chunk of the bag is in memory at a time. At damaged parts reading continues behind
+        them, and `damage` lists the loss.
 
         Raises
         ------
@@ -160,18 +159,18 @@ class Bag:
                 yield from islice(self._saved(reader, topics, count, _reason(error)), count, None)
 
     def _of_ros_2(self, data: bytes, connection: Connection) -> bytes:
-        """Return a message of ROS 1 in the form of ROS 2.
+        """Return a ROS 1 message in the serialization of ROS 2.
 
-        Those of the common interfaces are the same in both but for the header's `seq`; those of
-        other types are read by the definitions in the bag.
+        The common interfaces differ in the header's `seq` alone. Other types need the definitions
+        in the bag.
         """
-        _learn(self._store, connection)
+        _register_type(self._store, connection)
         return bytes(self._store.ros1_to_cdr(data, connection.msgtype))
 
     def _saved(
         self, reader: AnyReader, topics: Collection[str], count: int, reason: str
     ) -> Iterator[Message]:
-        """Yield all that can be saved of what has failed after `count` messages."""
+        """Yield the messages salvaged from a reader that failed after `count` messages."""
         files = _files_of(reader)
         try:
             if not files:
@@ -194,26 +193,26 @@ class Bag:
                 yield Message(connection.topic, log_ns, data)
 
     def _note(self, damage: str) -> None:
-        """Remember some damage; reading again finds it again."""
+        """Add a line of damage, once: reading again finds it again."""
         if damage and damage not in self.damage:
             self.damage.append(damage)
 
     def decoder(self, topic: str) -> Callable[[bytes], Any]:
         """Return a function from the bytes of a topic's messages to message objects.
 
-        Types that ROS 2's common interfaces lack are read by the definition in the bag.
+        Types outside ROS 2's common interfaces need a definition in the bag.
 
         Raises
         ------
         BagError
             If the topic is missing or its type is unknown. The function raises it for bytes
-            that are not such a message.
+            that are no message of the type.
         """
         msgtype = self.type_of(topic)
         for connection in self._connections:
             if connection.msgtype == msgtype:
                 try:
-                    _learn(self._store, connection)
+                    _register_type(self._store, connection)
                 except Exception as error:
                     raise BagError(
                         f"bag '{self.path}': the definition of {msgtype} of topic '{topic}' cannot "
@@ -247,7 +246,7 @@ class Bag:
 
 
 def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
-    """Open a bag, or what is left of it; say in `damage` what is wrong with it."""
+    """Open a bag, or its readable parts; add its defects to `damage`."""
     if not path.exists():
         raise BagError(f"bag '{path}' does not exist")
     if path.name == METADATA_FILE:
@@ -259,7 +258,7 @@ def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
         if (path / METADATA_FILE).exists():
             try:
                 return [_open(path)]
-            except Exception as error:  # what a parser raises on damaged bytes cannot be foreseen
+            except Exception as error:  # damaged bytes make a parser fail in any way
                 reason = f"{METADATA_FILE} cannot be used ({_reason(error, path)})"
         if not files:
             suffixes = " or ".join(STORAGE_SUFFIXES)
@@ -282,7 +281,7 @@ def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
     if reason and not found:
         found = [f"{reason}: the files were read without it"]
     damage += found
-    # Without metadata only the recordings themselves know their order.
+    # Without metadata the order of the files follows from their start times.
     return sorted(readers, key=lambda reader: reader.start_time)
 
 
@@ -295,7 +294,7 @@ def _open(storage: Path) -> Reader | ReaderOfRos1:
 
 
 def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
-    """Open one file of a bag, or what is left of it."""
+    """Open one file of a bag, or its readable parts."""
     try:
         return _open(file)
     except Exception as error:  # as above
@@ -313,7 +312,7 @@ def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
 
 
 def _files_of(reader: AnyReader) -> list[Path]:
-    """Return the MCAP files that a reader reads; none if it reads others."""
+    """Return the files of a reader if all are MCAP files; empty otherwise."""
     if not isinstance(reader, Reader):
         return []
     storages = getattr(reader.storage, "storages", [reader.storage])
@@ -322,7 +321,7 @@ def _files_of(reader: AnyReader) -> list[Path]:
 
 
 def _reason(error: Exception, folder: Path | None = None) -> str:
-    """One line on what a parser stumbled over, without the path of the folder that it is in."""
+    """Return the reason of a parser's error in one line, without the path of the folder."""
     if isinstance(error, KeyError):
         return f"unexpected entry {error}"
     line, *_ = str(error).splitlines() or [type(error).__name__]

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a damaged MCAP file still holds, read record by record with the mcap library.
+"""Salvage of damaged MCAP files, record by record, with the mcap library.
 
-A recorder that was killed leaves a file without an index; a bad disk spoils single chunks. Every
-chunk that is whole is used, of a last one that is cut off the messages before the cut: at the usual
-768 kB, 200 Hz of Imu and 50 Hz of actuators, that is up to eight seconds. A chunk that does not
-check out is left out as a whole: nobody knows which of its messages are right.
+A killed recorder leaves a file without an index; a bad disk damages single chunks. Every whole
+chunk is used, and of a truncated last chunk the messages before the cut: with chunks of 768 kB,
+200 Hz of Imu and 50 Hz of actuators these are up to eight seconds. A chunk with a wrong checksum
+is left out as a whole: any of its messages may be wrong.
 """
 
 from __future__ import annotations
@@ -39,34 +39,34 @@ FORMATS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionF
 """Encodings of the definitions in a file."""
 
 RECORD_HEADER, MAGIC_SIZE = 9, 8
-"""Bytes of a record before what it holds, its kind and length; and before the first record."""
+"""Bytes of a record's header (kind and length), and before the first record."""
 
 CHUNK = re.compile(
     rb"\x06(?=(.{8})(.{8})(.{8}).{12}(?:\x00{4}|\x03\x00{3}lz4|\x04\x00{3}zstd)(.{8}))", re.DOTALL
 )
-"""Begin of a chunk: length, first and last time, size and checksum, compression, length of data."""
+"""Start of a chunk: length, first and last time, size and checksum, compression, length of data."""
 
 
 class Part(NamedTuple):
     """A part of a file: a chunk, or the records between two of them."""
 
-    begin: int  # Where it begins and ends, bytes
+    begin: int  # begin, end: positions in the file, bytes
     end: int
-    times_ns: tuple[int, int] | None = None  # Log time of a chunk's first message and of the last
+    times_ns: tuple[int, int] | None = None  # First and last log time of a chunk, ns
     last: bool = False  # Whether the file ends with it
 
 
 class SalvageError(Exception):
-    """Nothing can be saved; the message says why."""
+    """Nothing can be salvaged; the message gives the reason."""
 
 
 class SalvageReader:
-    """Reads what is left of a damaged MCAP file, in log-time order; in use like rosbags' Reader.
+    """Reader of a damaged MCAP file, in log-time order, with the interface of rosbags' Reader.
 
     Raises
     ------
     SalvageError
-        If there is no message to be saved.
+        If the file has no readable message.
     """
 
     def __init__(self, path: Path) -> None:
@@ -74,23 +74,23 @@ class SalvageReader:
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._counts: Counter[int] = Counter()
-        self._parts: list[Part] = []  # Those that hold messages
+        self._parts: list[Part] = []  # Those with messages
         # start_time, end_time: Log time of the first message and the time after the last, ns
         self.start_time, self.end_time = 2**63 - 1, 0
         with path.open("rb") as file:
-            words = self._scan(file)
+            problem = self._scan(file)
         saved = sum(n for channel, n in self._counts.items() if channel in self._channels)
         if not saved:
             raise SalvageError(
                 "there is no message to be saved: it is no MCAP file, or nothing is left of it"
             )
-        # Its topics
+        # Topics of the file
         self.connections = [self._connection(c) for _, c in sorted(self._channels.items())]
-        # What is lost, in a line; empty if the file is whole
-        self.damage = f"'{path.name}' {words}; {saved} messages were saved" if words else ""
+        # Extent of the loss, in a line; empty if the file is whole
+        self.damage = f"'{path.name}' {problem}; {saved} messages were saved" if problem else ""
 
     def _scan(self, file: IO[bytes]) -> str:
-        """Read the whole file; return what is wrong with it."""
+        """Read the whole file; return its defects, empty if there are none."""
         lost: list[tuple[int, int]] = []
         chunks, torn, cut = 0, 0, False
         for part in _parts(file):
@@ -148,7 +148,7 @@ class SalvageReader:
         )
 
     def close(self) -> None:
-        """Do nothing: files are open only while they are read."""
+        """Do nothing: files are open only during reading."""
 
     def messages(
         self, connections: Collection[Connection]
@@ -165,8 +165,8 @@ class SalvageReader:
 def _by_time(
     file: IO[bytes], part: Part, chosen: Collection[int]
 ) -> Iterator[tuple[int, int, Message | None]]:
-    """Yield log time, ns, place and message of a part, after a sign that it begins."""
-    # Until the merge comes to this part the sign alone is in memory.
+    """Yield log time, ns, position and message of a part, after a marker of its start."""
+    # Until the merge reaches this part, only the marker is in memory.
     yield part.times_ns[0] if part.times_ns else 0, 0, None
     found = []
     with suppress(Exception):  # as when the file was scanned
@@ -178,13 +178,13 @@ def _by_time(
 
 
 def _parts(file: IO[bytes]) -> Iterator[Part]:
-    """Yield the chunks, which are found by their form alone, and what lies between them."""
+    """Yield the chunks, found by their form alone, and the parts between them."""
     at, size = MAGIC_SIZE, file.seek(0, 2)
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         for found in CHUNK.finditer(data):
             length, first, last, inner = (int.from_bytes(part, "little") for part in found.groups())
             begin, end = found.start(), found.start() + RECORD_HEADER + length
-            # One that begins before the end of the last stands inside of it.
+            # A match before the end of the last chunk is data inside of it.
             if at <= begin and end <= size and found.end(4) + inner == end:
                 yield Part(at, begin)
                 yield Part(begin, end, (first, last))
@@ -193,7 +193,7 @@ def _parts(file: IO[bytes]) -> Iterator[Part]:
 
 
 def _records(file: IO[bytes], part: Part) -> Iterator[McapRecord]:
-    """Yield the records of a part, those of chunks too; raises where one cannot be read."""
+    """Yield the records of a part, those of chunks too; raises at an unreadable one."""
     at, size = part.begin, part.end - part.begin
     file.seek(at)
     reader = StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=size)
@@ -216,7 +216,7 @@ def _records(file: IO[bytes], part: Part) -> Iterator[McapRecord]:
 
 
 def _before_the_cut(file: IO[bytes], begin: int) -> Iterator[McapRecord]:
-    """Yield the records of a chunk that is cut off, as far as they are whole."""
+    """Yield the whole records of a truncated chunk."""
     file.seek(begin)
     stream = ReadDataStream(file)
     with suppress(Exception):  # too little is left

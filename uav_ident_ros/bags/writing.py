@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write rosbag2 bags in MCAP, with schemas and QoS, the same bytes for the same messages."""
+"""Writer of rosbag2 bags in MCAP, with schemas and QoS; equal messages give equal bytes."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ FOREVER = QosTime(2147483647, 4294967295)
 
 
 class BagWriteError(Exception):
-    """A bag cannot be written; the message names the path or topic and why."""
+    """A bag cannot be written; the message names the path or topic and the reason."""
 
 
 @contextmanager
 def whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Give a place for a file or a folder, which takes that of `path` once it is whole.
+    """Yield a temporary path for a file or a folder, which replaces `path` on success.
 
-    Nothing half-written stays behind; the folder that it is in is made.
+    No partial output remains. Missing parent folders are made.
 
     Raises
     ------
     BagWriteError
-        If it cannot be written, or is a folder that is there already and not to be replaced.
+        If `path` cannot be written, or is an existing folder without `replace`.
     """
     if path.is_dir() and not replace:
         raise BagWriteError(f"{path} exists already, not overwriting.")
@@ -67,13 +67,13 @@ def whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
 
 
 def write_file(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all; raises as `whole` does."""
+    """Write a text file, whole or not at all; raises `BagWriteError`."""
     with whole(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def qos(depth: int = 10, *, reliable: bool = True, transient_local: bool = False) -> Qos:
-    """QoS profile that a topic was offered with: reliable or not, latched or not."""
+    """Return the QoS profile of a topic: reliable or best effort, latched or not."""
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=depth,
@@ -89,7 +89,7 @@ def qos(depth: int = 10, *, reliable: bool = True, transient_local: bool = False
 
 @cache
 def jazzy_types() -> Typestore:
-    """Message types of ROS 2 Jazzy."""
+    """Return the message types of ROS 2 Jazzy."""
     return get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -99,17 +99,17 @@ def message_class(msgtype: str) -> Any:
 
 
 def stamp(t_ns: int) -> Any:
-    """builtin_interfaces/msg/Time of a time in ns."""
+    """Return a builtin_interfaces/msg/Time from a time in ns."""
     return message_class("builtin_interfaces/msg/Time")(
         sec=int(t_ns) // NS_PER_S, nanosec=int(t_ns) % NS_PER_S
     )
 
 
 class BagWriter:
-    """Writes a new rosbag2 folder with an MCAP file, its chunks in zstd or not; a context manager.
+    """Writer of a new rosbag2 folder with an MCAP file, optionally in zstd; a context manager.
 
-    Messages are written in the order of the calls; give them in log-time order. A bag whose
-    block ends with an exception is left without metadata, as an interrupted recording is.
+    Messages are written in the order of the calls; give them in log-time order. A block that ends
+    with an exception leaves the bag without metadata, like an interrupted recording.
 
     Examples
     --------
@@ -140,23 +140,23 @@ class BagWriter:
             self._writer.abort()
 
     def topic(self, name: str, msgtype: str, qos: Qos | None = None) -> None:
-        """Announce a topic of a type, ``package/msg/Name``, and the profile it was offered with."""
+        """Add a topic of a type, ``package/msg/Name``, and the QoS profile of its publisher."""
         self._topics[name] = self._writer.add_connection(
             name, msgtype, typestore=jazzy_types(), offered_qos_profiles=(qos,) if qos else ()
         )
 
     def write(self, topic: str, log_time_ns: int, message: Any) -> None:
-        """Write a message on an announced topic: a dataclass (`message_class`), or CDR bytes."""
+        """Write a message on an added topic: a dataclass (`message_class`), or CDR bytes."""
         connection = self._topics[topic]
         if dataclasses.is_dataclass(message):
             message = jazzy_types().serialize_cdr(message, connection.msgtype)
         self._writer.write(connection, int(log_time_ns), message)
 
     def merge(self, streams: Iterable[Iterable[tuple[int, str, Any]]]) -> None:
-        """Write the messages of streams, each in the order of its log times, by their log times.
+        """Write the messages of several streams, each sorted by log time, in log-time order.
 
         At equal times the earlier stream comes first: actuators before rates, as the command
-        precedes its effect. Parameters of each message as of `write`.
+        precedes its effect. Each message has log time (ns), topic and message, as in `write`.
         """
         for log_ns, topic, message in heapq.merge(*streams, key=itemgetter(0)):
             self.write(topic, log_ns, message)
@@ -170,19 +170,19 @@ ARRAY = "std_msgs/msg/Float64MultiArray"
 VECTOR, TWIST = "geometry_msgs/msg/Vector3Stamped", "geometry_msgs/msg/TwistStamped"
 
 NOT_MEASURED, UNKNOWN = np.array([-1.0, *[0.0] * 8]), np.zeros(9)
-"""Covariances of an Imu that say that there is no such measurement, or that it is not known."""
+"""Covariances of an Imu: no such measurement, and unknown covariance."""
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
 EMPTY = np.zeros(0)
 
 
 def header(t_ns: int, frame_id: str = "") -> Any:
-    """std_msgs/msg/Header."""
+    """Return a std_msgs/msg/Header."""
     return message_class("std_msgs/msg/Header")(stamp=stamp(t_ns), frame_id=frame_id)
 
 
 def vector(x: float, y: float, z: float) -> Any:
-    """geometry_msgs/msg/Vector3."""
+    """Return a geometry_msgs/msg/Vector3."""
     return message_class("geometry_msgs/msg/Vector3")(x, y, z)
 
 
@@ -194,7 +194,7 @@ def imu(
     orientation: Sequence[float] | None = None,  # x, y, z, w; None if it is not measured
     covariances: tuple[FloatArray, FloatArray] = (UNKNOWN, UNKNOWN),  # of rates and force
 ) -> Any:
-    """sensor_msgs/msg/Imu."""
+    """Return a sensor_msgs/msg/Imu."""
     return message_class(IMU)(
         header=header(t_ns, frame_id),
         orientation=message_class("geometry_msgs/msg/Quaternion")(*(orientation or NO_TURN)),
@@ -209,26 +209,26 @@ def imu(
 def joint_state(
     t_ns: int, names: Sequence[str], positions: ArrayLike, efforts: ArrayLike = EMPTY
 ) -> Any:
-    """sensor_msgs/msg/JointState."""
+    """Return a sensor_msgs/msg/JointState."""
     numbers = (np.ascontiguousarray(part, dtype=float) for part in (positions, EMPTY, efforts))
     return message_class(JOINT_STATE)(header(t_ns), list(names), *numbers)
 
 
 def array(values: ArrayLike, dimensions: Sequence[tuple[str, int, int]] = ()) -> Any:
-    """std_msgs/msg/Float64MultiArray."""
+    """Return a std_msgs/msg/Float64MultiArray."""
     dimension = message_class("std_msgs/msg/MultiArrayDimension")
     layout = message_class("std_msgs/msg/MultiArrayLayout")
-    dim = [dimension(*words) for words in dimensions]
+    dim = [dimension(*entry) for entry in dimensions]
     return message_class(ARRAY)(layout(dim, data_offset=0), np.ascontiguousarray(np.ravel(values)))
 
 
 def vector_stamped(t_ns: int, xyz: Sequence[float], frame_id: str = "") -> Any:
-    """geometry_msgs/msg/Vector3Stamped."""
+    """Return a geometry_msgs/msg/Vector3Stamped."""
     return message_class(VECTOR)(header(t_ns, frame_id), vector(*xyz))
 
 
 def twist_stamped(t_ns: int, linear: Sequence[float]) -> Any:
-    """geometry_msgs/msg/TwistStamped of something that does not turn."""
+    """Return a geometry_msgs/msg/TwistStamped without rotation."""
     twist = message_class("geometry_msgs/msg/Twist")(vector(*linear), vector(0.0, 0.0, 0.0))
     return message_class(TWIST)(header(t_ns), twist)
 
