@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of parameters and coefficients, and tables made of them."""
+"""Files of parameters and coefficients."""

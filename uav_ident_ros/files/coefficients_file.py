@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Coefficients on disk: replay's result, the identifier's start, and its memory between flights.
+"""Coefficients on disk: result of a replay, initial coefficients, state between flights.
 
 One format serves ``coefficients.yaml``, ``initial_coefficients_file`` and the state file:
 
@@ -7,15 +7,15 @@ One format serves ``coefficients.yaml``, ``initial_coefficients_file`` and the s
     version: 1
     structure: baseline
     stamp: 1700000000.250000000      # message time, s; 0.0 if unknown
-    saved: 2023-11-14T22:13:25Z      # time of the computer; this and the next three are notes,
-    usable: true                     # which a state file has and others need not
-    delay: 0.05                      # of the actuators, as found in flight, s
+    saved: 2023-11-14T22:13:25Z      # computer's time; this and the next three are notes, which
+    usable: true                     # are optional outside of a state file
+    delay: 0.05                      # of the actuators, estimated in flight, s
     learned_with: {actuators.scale: "[]", ...}
     coefficients:                    # SI units, body axes forward-right-down
       pdot/pq: {value: 0.0125, sigma: 0.003}
       ...
 
-Numbers survive the way to disk and back to the last bit. Everything is checked on loading.
+Numbers are written with all bits. Loading checks every entry.
 """
 
 import glob
@@ -50,10 +50,10 @@ FORMAT = "uav_ident_ros/coefficients"
 VERSION = "1"
 
 LARGEST_FILE = 1_000_000
-"""Size beyond which it is some other file, bytes: ours have a few thousand."""
+"""Largest size of a coefficients file, bytes: a typical one has a few thousand."""
 
 LATEST_NS = 2**63
-"""What counts the nanoseconds of a stamp is a signed integer of 64 bits."""
+"""First stamp out of range, ns: stamps are signed integers of 64 bits."""
 
 _TOP_KEYS = ("format", "version", "structure", "stamp", "coefficients")
 _NOTE_KEYS = ("saved", "usable", "delay", "servo_lag", "learned_with")
@@ -63,20 +63,20 @@ _INFINITY = frozenset((".inf", ".Inf", ".INF", "+.inf", "inf"))
 
 
 class CoefficientsFileError(Exception):
-    """A coefficients file cannot be used; the message names it and what is wrong."""
+    """A coefficients file cannot be used; the message names it and the problem."""
 
 
 @dataclass(frozen=True)
 class Notes:
-    """What a file may say beside the coefficients."""
+    """Optional entries of a file beside the coefficients."""
 
-    # When it was written, by the computer's clock, with its time zone
+    # Time of writing by the computer's clock, with time zone
     saved: datetime | None = None
-    usable: bool | None = None  # Whether the verdict on the coefficients was good
-    delay: float | None = None  # Transport delay of the actuators that was found in flight, s
-    # Settings that say what the coefficients mean, each with its value as JSON
+    usable: bool | None = None  # Verdict on the coefficients
+    delay: float | None = None  # Transport delay of the actuators, estimated in flight, s
+    # Settings that define the meaning of the coefficients, with values as JSON
     learned_with: Mapping[str, str] = field(default_factory=dict)
-    servo_lag: float | None = None  # Lag of the servos that was found in flight, s
+    servo_lag: float | None = None  # Servo lag, estimated in flight, s
 
 
 def save_coefficients(
@@ -108,19 +108,19 @@ def save_coefficients(
 
 
 def _temporary_name(name: str, writer: int | str) -> str:
-    """Name of the file that process `writer` writes before it becomes `name`."""
+    """Return the temporary name of file `name` while process `writer` writes it."""
     return f".{name}.{writer}.tmp"
 
 
 def remove_leftovers(path: Path | str) -> None:
-    """Remove what processes that were killed while they wrote `path` have left beside it."""
+    """Remove the temporary files of processes that were killed while writing `path`."""
     target = Path(os.path.realpath(path))
     for left in target.parent.glob(_temporary_name(glob.escape(target.name), "*")):
         left.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a rename in `folder` survive a loss of power."""
+    """Flush `folder` to disk: a rename in it then survives a loss of power."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -160,12 +160,12 @@ def _lines(coefficients: CoefficientSet, notes: Notes) -> Iterator[str]:
 
 
 def _digits(value: float) -> str:
-    """Shortest text that reads back as `value`, a number to every YAML reader."""
+    """Return the shortest text of `value` without loss, a number for every YAML reader."""
     return str(SafeRepresenter().represent_float(value).value)
 
 
 def load_coefficients(path: Path | str, structure: str | None = None) -> CoefficientSet:
-    """Read a coefficients file and check all of it, and that it is for a structure, if given.
+    """Read and check a coefficients file; it must be for `structure`, if given.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def load_coefficients(path: Path | str, structure: str | None = None) -> Coeffic
 
 
 def initial_coefficients(settings: Settings) -> CoefficientSet | None:
-    """Read the coefficients to start from; None if the settings name no file of them.
+    """Read the initial coefficients; None if the settings name no file.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def initial_coefficients(settings: Settings) -> CoefficientSet | None:
 
 
 def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[CoefficientSet, Notes]:
-    """Read a coefficients file with its notes; parameters and errors as `load_coefficients`."""
+    """Read a coefficients file and its notes; see `load_coefficients`."""
     try:
         content = yaml.load(_text_of(Path(path)), StrictLoader)
         return _coefficients(content, structure), _notes(content)
@@ -197,7 +197,7 @@ def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[Coe
 
 
 def _text_of(path: Path) -> str:
-    """Read a file, unless it is none that could be ours: a pipe would block for ever."""
+    """Read a regular file of plausible size; others are refused, as a pipe would block."""
     if path.exists() and not path.is_file():
         raise EntryError("it is not a file but a folder, a pipe or the like")
     if (size := path.stat().st_size) > LARGEST_FILE:
@@ -206,7 +206,7 @@ def _text_of(path: Path) -> str:
 
 
 def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
-    """Check the entries that every file has."""
+    """Return the coefficients from the checked mandatory entries."""
     top = mapping(content, "the file", _TOP_KEYS, _NOTE_KEYS)
     name = top["structure"]
     if top["format"] != FORMAT:
@@ -232,7 +232,7 @@ def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
 
 
 def _notes(content: Mapping[str, Any]) -> Notes:
-    """Check what stands beside the coefficients, as far as it is there."""
+    """Return the notes from the checked optional entries."""
     delay, lag = _lateness(content, "delay"), _lateness(content, "servo_lag")
     usable = content.get("usable")
     if usable not in (None, "true", "false"):

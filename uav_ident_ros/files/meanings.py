@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each coefficient is on an aircraft, in words.
+"""Meaning of each coefficient in flight mechanics, in words.
 
-The names are those of flight mechanics (Etkin and Reid, Dynamics of Flight, 1996); the products of
-rates carry the inertias that make them.
+The names follow Etkin and Reid, Dynamics of Flight, 1996. Each product of rates has the moments of
+inertia that cause it.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ INPUT_WORDS: Mapping[str, str] = {
     "da": "aileron",
     "dth": "throttle",
 }
-"""The inputs of an aircraft with wings."""
+"""Names of the inputs of an aircraft with wings."""
 
 AXIS_INPUT_WORDS: Mapping[str, str] = {
     "de": "pitch input",
@@ -21,10 +21,10 @@ AXIS_INPUT_WORDS: Mapping[str, str] = {
     "da": "roll input",
     "dth": "throttle",
 }
-"""Those of a multirotor, which has no surfaces."""
+"""Names of the inputs of a multirotor, which has no surfaces."""
 
 AXIS_WORDS: Mapping[str, str] = {"pdot": "roll", "qdot": "pitch", "rdot": "yaw"}
-"""The rows."""
+"""Axes of the moment rows."""
 
 MEANINGS: Mapping[str, str] = {
     "pdot/pq": "inertial coupling into roll (Ixz)",
@@ -66,4 +66,4 @@ MEANINGS: Mapping[str, str] = {
     "betadot/1": "bias of the sideslip's kinematics",
     "alphadot/1": "bias of the angle of attack's kinematics",
 }
-"""Every coefficient of every structure."""
+"""Meanings of the coefficients of all structures."""

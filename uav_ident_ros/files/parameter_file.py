@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS 2 parameter files, read offline by rcl's own rules.
+"""Reader of ROS 2 parameter files without ROS, by the rules of rcl.
 
-A generic YAML reader would give other values: it takes ``1e-3`` for a word, ``1_000`` for a
-number and ``null`` for nothing. rcl (rcl_yaml_param_parser of ROS 2 Jazzy) does not.
+A generic YAML reader gives other values: ``1e-3`` as a string, ``1_000`` as a number and ``null``
+as None. rcl (rcl_yaml_param_parser of ROS 2 Jazzy) gives a number and two strings.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float]
 PARAMETERS_KEY = "ros__parameters"
 
 IGNORED = ("use_sim_time", "start_type_description_service")
-"""Parameters of every rclpy node, which mean nothing offline."""
+"""Parameters of every rclpy node, without effect offline."""
 
 QOS_PREFIX = "qos_overrides."
-"""Begin of the parameters of its subscriptions, which mean as little."""
+"""Prefix of the subscriptions' parameters, also without effect offline."""
 
 _TRUE = frozenset(("Y", "y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"))
 _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"))
 
 _DOTTED = re.compile(r"\.(nan|NaN|NAN)|[+-]?\.(inf|Inf|INF)")
-"""YAML's words for what C writes without a dot."""
+"""YAML's NaN and infinities, which C writes without the dot."""
 
 _TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 class ParameterFileError(Exception):
-    """A parameter file cannot be read; the message names the file, the line and what is wrong."""
+    """A parameter file cannot be read; the message names file, line and problem."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,12 @@ class ParameterFile:
     """Content of a parameter file."""
 
     path: Path
-    # For each section (a node name or pattern), in the order of their first lines, the values by
-    # dotted name
+    # Values by dotted name for each section (a node name or pattern), in the order of the file
     sections: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path | str) -> ParameterFile:
-        """Read a file; raises `ParameterFileError` if it cannot be read or rcl would refuse it."""
+        """Read a file; raises `ParameterFileError` if it is unreadable or rcl refuses it."""
         path, sections = Path(path), dict[str, dict[str, ParameterValue]]()
         try:
             root = yaml.compose(path.read_text(encoding="utf-8"), _Loader)
@@ -66,7 +65,7 @@ class ParameterFile:
         return cls(path, sections)
 
     def values_for(self, node: str) -> dict[str, ParameterValue]:
-        """Return what rclpy gives to a node, ``/drone1/identifier``: the last section wins.
+        """Return the values for a node, ``/drone1/identifier``; as in rclpy, the last section wins.
 
         Raises
         ------
@@ -79,7 +78,7 @@ class ParameterFile:
         return values
 
     def sections_for(self, node: str) -> list[str]:
-        """Return the sections that are for a node; an empty file has none.
+        """Return the sections for a node; an empty file has none.
 
         Raises
         ------
@@ -96,9 +95,9 @@ class ParameterFile:
 
 
 def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
-    """Return the identifier's parameters of a file for the node called `node`.
+    """Return the identifier's parameters in a file for the node named `node`.
 
-    What every node has besides (``use_sim_time``, ``qos_overrides``) is left out.
+    The parameters of every node (``use_sim_time``, ``qos_overrides``) are left out.
 
     Raises
     ------
@@ -113,7 +112,7 @@ def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
 
 
 def written(value: Any) -> str:
-    """Write a value so that rcl reads the right type: words in quotes, floats as floats."""
+    """Return the text of a value with the right type for rcl: strings are quoted."""
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(written, value))}]"
     if isinstance(value, str):
@@ -126,7 +125,7 @@ def _absolute(name: str) -> str:
 
 
 def _matches(section: str, node: str) -> bool:
-    """Whether a section's name or pattern covers a node: ``*`` one token, ``**`` any number."""
+    """Return whether a section covers a node; ``*`` is one token, ``**`` any number."""
     pattern = re.escape(_absolute(section))
     pattern = pattern.replace(r"/\*\*", r"(/\w+)*").replace(r"/\*", r"(/\w+)")
     return re.fullmatch(pattern, _absolute(node)) is not None
@@ -139,7 +138,7 @@ _C.strtod.argtypes, _C.strtod.restype = (ctypes.c_char_p, _END), ctypes.c_double
 
 
 def scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
-    """Give a YAML scalar the type and value that rcl gives it."""
+    """Return a YAML scalar with the type and value of rcl."""
     if quoted or not text:
         return text
     if text in _TRUE or text in _FALSE:
@@ -152,7 +151,7 @@ def scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
 
 
 def _read(function: Callable[..., float], text: str, *base: int) -> float | None:
-    """Read a number by a function of C, as rcl does; None if it is none or out of range."""
+    """Return a number by a function of C, as in rcl; None if it is invalid or out of range."""
     content, rest = text.encode(), ctypes.c_char_p()
     ctypes.set_errno(0)
     number = function(content, ctypes.byref(rest), *base)
@@ -160,7 +159,7 @@ def _read(function: Callable[..., float], text: str, *base: int) -> float | None
 
 
 class _Loader(yaml.BaseLoader):
-    """A loader that takes no aliases, as rcl does not, and knows no types."""
+    """A loader without types, which refuses aliases, as rcl does."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
@@ -168,12 +167,12 @@ class _Loader(yaml.BaseLoader):
         return super().compose_node(parent, index)
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> str:
-        """Leave every scalar without a tag of its own to `scalar`."""
+        """Return no tag: `scalar` gives the type."""
         return ""
 
 
 def _entries(node: Any, owner: str) -> Iterator[tuple[str, Any, Any]]:
-    """Yield the keys of a mapping, each as text and as a node, and the values."""
+    """Yield each key of a mapping, as text and as a node, and its value."""
     if not isinstance(node, yaml.MappingNode):
         raise malformed(
             node,
@@ -189,7 +188,7 @@ def _entries(node: Any, owner: str) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _sections(node: Any, name: str, owner: str) -> Iterator[tuple[str, str, ParameterValue]]:
-    """Yield section, dotted name and value of each parameter; one without a name for a section."""
+    """Yield section, dotted name and value of each parameter; for each section an empty name."""
     for key, place, value in _entries(node, owner):
         if not key.startswith(PARAMETERS_KEY):
             separator = "" if not name or name.endswith("/") else "/"
@@ -227,12 +226,12 @@ def _value(node: Any) -> ParameterValue:
             raise malformed(
                 item,
                 f"the values of a list must be of one type: {values[0]!r} is "
-                f"{_WORDS[type(values[0])]}, {values[-1]!r} is {_WORDS[type(values[-1])]}",
+                f"{_TYPES[type(values[0])]}, {values[-1]!r} is {_TYPES[type(values[-1])]}",
             )
     return values or None
 
 
-_WORDS = {bool: "a bool", int: "an integer", float: "a floating-point number", str: "a word"}
+_TYPES = {bool: "a bool", int: "an integer", float: "a floating-point number", str: "a word"}
 
 _STRING_TAG = "tag:yaml.org,2002:str"
 """The tag written ``!!str``."""
@@ -246,7 +245,7 @@ def _scalar(node: yaml.ScalarNode) -> bool | int | float | str:
 
 
 def _check_name(name: str, place: Any) -> None:
-    """Check that a section is a node name or a pattern."""
+    """Raise an error if a section is neither a node name nor a pattern."""
     if name == "/**":
         return
     for token in name.removeprefix("/").split("/"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML as it stands in a file, checked entry by entry: scalars are their text, no key is twice."""
+"""Strict reading of YAML: scalars as text, unique keys, checked entries."""
 
 import errno
 import math
@@ -14,19 +14,19 @@ from uav_ident_ros.messages.types import NS_PER_S
 
 
 class EntryError(Exception):
-    """An entry is wrong; the message names it and what would be right."""
+    """An entry is wrong; the message names it and the allowed values."""
 
 
 def malformed(place: Any, reason: str) -> yaml.YAMLError:
-    """Return the error of a node or an event; `problem` gives its line."""
+    """Return the error for a node or an event, with its line for `problem`."""
     return yaml.MarkedYAMLError(problem=reason, problem_mark=place.start_mark)
 
 
 class StrictLoader(yaml.BaseLoader):
-    """A loader of text, mappings and lists; whoever reads them says what a text means."""
+    """A loader of text, mappings and lists; the caller converts the text."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """Return a mapping; raises a YAMLError if a key is there twice."""
+        """Return a mapping; raises a YAMLError if a key occurs twice."""
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -38,11 +38,11 @@ class StrictLoader(yaml.BaseLoader):
 
 
 UNUSABLE = (OSError, UnicodeDecodeError, RecursionError, yaml.YAMLError, EntryError)
-"""What reading and checking a file of text may raise."""
+"""Exceptions from reading and checking a text file."""
 
 
 def problem(error: BaseException) -> str:
-    """Say in a line why a file cannot be used, by one of `UNUSABLE`, and in which line of it."""
+    """Return the problem of a file in one line, from one of `UNUSABLE`, with its line number."""
     if isinstance(error, yaml.MarkedYAMLError):
         mark = error.problem_mark or error.context_mark
         return f"line {mark.line + 1 if mark else 1}: {error.problem or error.context}"
@@ -59,12 +59,12 @@ def problem(error: BaseException) -> str:
 def mapping(
     content: Any, owner: str, needed: Collection[str], optional: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Return a mapping that has all the needed keys, and of others only the optional ones.
+    """Return a mapping with all needed keys and no keys but these and the optional ones.
 
     Raises
     ------
     EntryError
-        If it is none, or lacks a key, or has another one.
+        If it is no mapping, lacks a key or has an unknown one.
     """
     allowed = (*needed, *optional)
     if not isinstance(content, Mapping):
@@ -80,11 +80,11 @@ def mapping(
 def nanoseconds(
     text: Any,
     unit_ns: int,  # Unit of the text, ns
-    latest_ns: int,  # First time that is too late, ns
+    latest_ns: int,  # First time out of range, ns
     what: str,
-    cure: str = "",  # What to do if it is too late
+    cure: str = "",  # Remedy for a time out of range, ends the message
 ) -> int:
-    """Return a stamp as whole ns: decimals keep those of one since 1970, a float does not.
+    """Return a stamp in ns; decimals are exact, while floats lose ns of times since 1970.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def nanoseconds(
     """
     try:
         t_ns = Decimal(text) * unit_ns
-        if 0 <= t_ns < latest_ns:  # before it becomes an int, which may have a million digits
+        if 0 <= t_ns < latest_ns:  # checked first: the int may have a million digits
             return int(t_ns.to_integral_value())
     except (ArithmeticError, ValueError, TypeError):
         raise EntryError(f"{what} is '{text}', which is no number") from None
@@ -101,12 +101,12 @@ def nanoseconds(
 
 
 def meant(name: str, known: Collection[str]) -> str:
-    """Return the question for the nearest of the known names, or else all of them."""
+    """Return a hint: the nearest of the known names, or all of them if none is near."""
     return nearest(name, known) or f"allowed are {', '.join(known)}"
 
 
 def finite(value: Any, what: str) -> float:
-    """Return a number that is finite; raises `EntryError` if it is none."""
+    """Return a finite number; raises `EntryError` otherwise."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise EntryError(f"{what} is {value!r}: a finite number is needed")
     return float(value)

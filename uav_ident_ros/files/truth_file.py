@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The true coefficients that lie beside the bag of a simulated flight."""
+"""True coefficients of a simulated flight, in a file beside its bag."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,11 +20,11 @@ class Truth:
 
     # Values at the start of the flight, SI
     values: Mapping[str, float] = field(default_factory=dict)
-    # Times, s after the first rates, and the factors by which coefficients change then
+    # Times, s after the first rates, and factors on the coefficients from then on
     changes: tuple[tuple[float, Mapping[str, float]], ...] = ()
 
     def steps(self, name: str, end: float) -> tuple[list[float], list[float]]:
-        """Return times, s, and values of a coefficient up to `end`; empty if it is not known."""
+        """Return times, s, and values of a coefficient up to `end`; empty if unknown."""
         if name not in self.values:
             return [], []
         times, values = [0.0], [self.values[name]]
@@ -37,12 +37,11 @@ class Truth:
 
 def read_truth(
     bag: Path,  # The bag; the file lies in its folder
-    # Structure of the estimates. The local derivatives of an aircraft hold at fixed angles of
-    # attack and sideslip: they are those of a structure that has both angles, not of one in which
-    # `ay` and `az` stand for them
+    # Structure of the estimates. An aircraft's local derivatives hold at fixed flow angles: they
+    # are the truth of a structure with both angles, not of one with `ay` and `az` in their place
     structure: Structure,
 ) -> Truth:
-    """Read what is true of a flight; nothing if there is no such file, or another one."""
+    """Read the true coefficients of a flight; empty if there is no valid file."""
     path = (bag if bag.is_dir() else bag.parent) / TRUTH_FILE
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -55,4 +54,4 @@ def read_truth(
         )
         return Truth({name: float(value) for name, value in values.items()}, changes)
     except (*UNUSABLE, AttributeError, TypeError, ValueError, KeyError):
-        return Truth()  # not a file of the simulation's
+        return Truth()  # not a file from the simulation
