@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every supported message type: ROS messages to plain values and back."""
+"""Conversion of all supported ROS messages to plain values and back."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One input on its way from bytes to the identifier, live and offline, and what became of it."""
+"""Feed of one input stream: from message bytes to the identifier, with counts of the drops."""
 
 import struct
 from collections import Counter
@@ -13,10 +13,10 @@ from uav_ident_ros.messages.types import NS_PER_S, ChannelError, RatesReading
 IMU_TYPE = "sensor_msgs/msg/Imu"
 
 _CDR_HEADER = 4
-"""Encapsulation header before the CDR body, bytes: what is in the body is aligned from there on."""
+"""Encapsulation header before the CDR body, bytes: alignment counts from its end."""
 
-# Stamp and length of the frame_id; then, from the first double on: orientation with its
-# covariance, rates, first entry of their covariance, the rest of it, and the force likewise.
+# First stamp and length of the frame_id. Then, from the first double on: orientation with its
+# covariance (skipped), rates, first entry of their covariance, its rest (skipped), the force alike.
 _IMU_FORMATS = {
     b"\x00\x01": (struct.Struct("<iII"), struct.Struct("<104x4d64x4d64x")),
     b"\x00\x00": (struct.Struct(">iII"), struct.Struct(">104x4d64x4d64x")),
@@ -32,7 +32,7 @@ def decode_imu_cdr(
     Returns
     -------
     RatesReading or None
-        None if the bytes are not of that form: leave them to a full decoder.
+        None if the bytes have another form, for a full decoder.
     """
     formats = _IMU_FORMATS.get(bytes(data[:2]))
     if formats is None:
@@ -58,51 +58,51 @@ def decode_imu_cdr(
 
 
 LARGEST_MESSAGE = 65_536
-"""Bytes of a message beyond which it is none of these: an Imu takes 350, a hundred named channels
-4000. Its names or its frame would fill the log and /diagnostics, and take a second to read."""
+"""Largest size of an input message, bytes: an Imu has 350, a hundred named channels 4000. Names in
+a larger one would fill the log and /diagnostics, and take a second to read."""
 
 Taken = tuple[int, Any] | None
-"""Stamp, ns, and values that the identifier took; None if it did not."""
+"""Stamp, ns, and values that the identifier accepted; None if it accepted none."""
 
 
 class Feed:
-    """Gives an identifier the messages of one stream, and counts those that it does not get.
+    """Feed of one stream's messages to an identifier, with counts of the refused ones.
 
-    What carries no time counts from when it arrives. Where the Imu's stamps are far from that, as
-    those of an autopilot that counts from its start, a stream of any clock counts from just after
-    the Imu's newest sample; what came before there was any, from just after the first.
+    A message without a stamp gets its time of arrival. If the Imu's stamps have another time base,
+    such as the autopilot's start, one of an `any_clock` stream is placed just after the newest Imu
+    sample. If it arrived before any, it is placed just after the first.
     """
 
     def __init__(
         self,
-        stream: Stream,  # What the messages are
-        identifier: OnlineIdentifier,  # Takes what is in them
+        stream: Stream,  # Type and destination of the messages
+        identifier: OnlineIdentifier,  # Receives the values
         decode: Callable[[bytes], Any],  # Bytes to a message; it may raise `ChannelError`
-        # Told the reason, as it is counted, and the words, where a message is not used
-        warn: Callable[[str, str], object] = lambda reason, words: None,
-        # Told once, in s, how far messages that carry no time arrive from the Imu's stamps
+        # Receives the reason, as counted, and the problem of each unused message
+        warn: Callable[[str, str], object] = lambda reason, problem: None,
+        # Receives once the time of arrival minus the Imu's stamp, s, if they differ
         on_offset: Callable[[float], object] = lambda seconds: None,
     ) -> None:
         self.stream = stream
         self.type_name = stream.type_of(identifier.settings)
         self.reader: Any = stream.reader(identifier.settings)
         self.received = 0  # Messages, good or bad
-        self.details: dict[str, str] = {}  # What was wrong with the last one of each reason
+        self.details: dict[str, str] = {}  # Problem of the last message for each reason
         self._identifier, self._decode, self._warn = identifier, decode, warn
         self._refused: Counter[str] = Counter()
         self._jump_ns = round(identifier.settings.time_jump * 1e9)
         self._on_offset: Callable[[float], object] | None = on_offset
         self._unplaced: tuple[int, Any] | None = None  # Arrival, ns, and values
-        self._after_ns = self._placed = 0  # Imu sample, and how many were placed after it
+        self._after_ns = self._placed = 0  # Imu sample, ns, and number of messages placed after it
 
     def take(self, data: bytes, arrival_ns: int) -> Taken:
-        """Give the identifier a message that arrived then, by the node's or recorder's clock."""
+        """Add a message; `arrival_ns` is by the clock of the node or recorder."""
         self.received += 1
         try:
             if len(data) > LARGEST_MESSAGE:
-                words = f"it takes {len(data)} bytes: is it {self.type_name} at all?"
-                raise ChannelError(words, "too large")
-            # Decoding an Imu here costs a fraction of making a message object of it.
+                problem = f"it takes {len(data)} bytes: is it {self.type_name} at all?"
+                raise ChannelError(problem, "too large")
+            # Decoding an Imu here costs a fraction of making a message object.
             imu = decode_imu_cdr(data) if self.type_name == IMU_TYPE else None
             stamp_ns, values = self.reader.checked(imu) if imu else self.reader(self._decode(data))
         except ChannelError as error:
@@ -123,7 +123,7 @@ class Feed:
         return None
 
     def settle(self) -> Taken:
-        """Place what came before the Imu did; to be called before a tick is computed."""
+        """Add the message that waits for the first Imu sample, if due; call it before each tick."""
         newest_ns = self._identifier.intake.newest_ns
         if self._unplaced is None or newest_ns is None:
             return None
@@ -134,12 +134,12 @@ class Feed:
         if self._on_offset is not None:
             self._on_offset(off_ns * 1e-9)
             self._on_offset = None
-        # Of several after one sample each has a stamp of its own: the last one counts.
+        # Messages after the same Imu sample get distinct stamps: the last one counts.
         self._placed = self._placed + 1 if newest_ns == self._after_ns else 1
         self._after_ns = newest_ns
         return self._add(newest_ns + self._placed, values)
 
     def drops(self) -> Counter[str]:
-        """Return what was refused here or dropped by the identifier, by reason."""
+        """Return the numbers of messages refused here or dropped by the identifier, by reason."""
         dropped = self._identifier.intake.drops[self.stream.name]
         return self._refused + Counter({drop.value: n for drop, n in dropped.items()})

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the identifier publishes: names and layout of its entries, for those on either side.
+"""Names and layout of the identifier's outputs, for publishers and clients.
 
-Imports NumPy alone, as controllers do.
+Imports NumPy alone, as clients in a controller do.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from uav_ident_ros.identification.structure import ROWS, FloatArray, Structure
 
 
 def coefficients_layout(structure: Structure) -> tuple[tuple[str, int, int], ...]:
-    """Label, size and stride of the dimensions of ~/coefficients: its rows, then its columns."""
+    """Return label, size and stride of the dimensions of ~/coefficients: rows, columns."""
     rows, n = len(structure.dense_rows), structure.size
     return (
         (",".join(structure.dense_rows), rows, rows * n),
@@ -21,7 +21,7 @@ def coefficients_layout(structure: Structure) -> tuple[tuple[str, int, int], ...
 
 STATE_FIELDS = ("alpha", "beta", "roll", "pitch", "airspeed")
 STATE_NAMES = tuple(f"state/{field}" for field in STATE_FIELDS)
-"""States of a structure with flow angles beside the rates: rad, rad, rad, rad, m/s."""
+"""States beside the rates, of a structure with flow angles: rad, rad, rad, rad, m/s."""
 
 FIT_NAMES = ("fit/p", "fit/q", "fit/r")
 USABLE_NAME = "verdict/usable"
@@ -29,22 +29,22 @@ ROW_USABLE_NAMES = tuple(f"{USABLE_NAME}/{row}" for row in ROWS)
 
 
 def entry_names(structure: Structure) -> tuple[str, ...]:
-    """Names in ~/coefficients_named: coefficients, states, the fit of each axis, verdicts."""
+    """Return the names in ~/coefficients_named: coefficients, states, fits, verdicts."""
     states = STATE_NAMES if structure.has_flow else ()
     return (*structure.names, *states, *FIT_NAMES, USABLE_NAME, *ROW_USABLE_NAMES)
 
 
 def dense_coefficients(estimate: Estimate, structure: Structure) -> FloatArray:
-    """Matrix of ~/coefficients of an estimate."""
+    """Return the matrix of ~/coefficients, (rows, regressors)."""
     return estimate.coefficients[: len(structure.dense_rows)]
 
 
 def named_entries(
     estimate: Estimate, structure: Structure
 ) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Names, positions and efforts of ~/coefficients_named.
+    """Return names, positions and efforts of ~/coefficients_named.
 
-    Positions are values, SI, then the fits in percent, and 1 or 0 for usable. Efforts are one
+    Positions are values (SI), fits (percent) and verdicts (1 is usable, 0 not). Efforts are one
     standard deviation of each coefficient and flow angle, and 0 for the others.
     """
     verdict = (float(estimate.usable), *map(float, estimate.usable_rows))

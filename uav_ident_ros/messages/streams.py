@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The inputs of the node and of a replay: one row a stream, from its topic to the identifier."""
+"""Input streams of the node and of a replay: topic, types, reader and destination of each."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ from uav_ident_ros.messages.types import EXCITATION_TYPE, ActuatorReader, RatesR
 
 @dataclass(frozen=True)
 class Stream:
-    """One of the inputs."""
+    """One input stream."""
 
-    name: str  # What the identifier calls it
+    name: str  # Name in the identifier
     topic: str  # The node's topic, relative as in ``-r imu/data:=...``
-    setting: str  # Setting that holds its message type; empty if there is but one type
-    types: tuple[str, ...]  # Types that can be read
-    # Settings to a reader: message to stamp, ns, and values; it may raise `ChannelError`
+    setting: str  # Setting of the message type; empty if there is only one type
+    types: tuple[str, ...]  # Supported types
+    # Makes a reader by the settings: message to stamp (ns) and values, or a `ChannelError`
     reader: Callable[[Settings], Callable[[Any], Reading]]
-    # Gives an identifier the values of a stamp, ns; returns why it dropped them, or None
+    # Adds the values of a stamp (ns) to an identifier; returns the reason of a drop, or None
     add: Callable[[OnlineIdentifier, int, Any], Drop | None]
-    # Whether it is read only if its type is set, or its topic asked for; where there is but one
-    # type, if it is there
+    # Whether it is read only if its type is set or its topic chosen; with a single type, if the
+    # topic exists
     optional: bool = False
-    # Whether it may carry no time, or that of any clock (see `feed.Feed`)
+    # Whether its stamps may be missing or have another time base (see `feed.Feed`)
     any_clock: bool = False
 
     def type_of(self, settings: Settings) -> str:
@@ -85,8 +85,8 @@ STREAMS = (
 """The inputs."""
 
 EXCITATION_END = "/excitation"
-"""End of the topics of what was injected on purpose: of the input, and of the node's own, which a
-controller adds."""
+"""End of the topics of injected signals: the input, and the node's own, which a controller adds to
+its commands."""
 
 OWN_TOPICS = ("/coefficients", "/coefficients_named", EXCITATION_END)
-"""Ends of the node's own topics, which have the types of actuators: a bag may hold them, too."""
+"""Ends of the node's own topics with a type of actuator messages: a bag may contain them."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS messages to plain values and back, for every supported type: one table.
+"""Supported message types, and their conversion to plain values.
 
-The adapters use attribute access only, so they serve rclpy messages, rosbags messages and
-stand-ins alike. Nothing here imports ROS until `import_type` is called.
+The adapters use attribute access only: rclpy messages, rosbags messages and stand-ins all work.
+Only `import_type` imports ROS.
 """
 
 import importlib
@@ -21,10 +21,10 @@ Vector = tuple[float, float, float]
 
 
 NOT_FINITE = "not finite"
-"""What a message is counted under whose values are NaN or infinite."""
+"""Reason to refuse a message with NaN or infinite values."""
 
 MOST_LISTED, LONGEST_NAME = 30, 120
-"""Names that a complaint lists, and characters of each: more is no help, and floods the log."""
+"""Most names in an error message, and characters of each: more would flood the log."""
 
 
 class MessageTypeError(Exception):
@@ -32,11 +32,11 @@ class MessageTypeError(Exception):
 
 
 class ChannelError(ValueError):
-    """A message does not hold what the settings say; the message says why."""
+    """A message contradicts the settings; the text gives the problem."""
 
     def __init__(self, message: str, reason: str = "wrong channels") -> None:
         super().__init__(message)
-        self.reason = reason  # What the message is counted under
+        self.reason = reason  # Key of the count of refused messages
 
 
 class RatesReading(NamedTuple):
@@ -56,18 +56,18 @@ Stamp = Callable[[Any], int]
 
 @dataclass(frozen=True)
 class ActuatorAdapter:
-    """How to read one type of actuator message."""
+    """Layout of one type of actuator message."""
 
-    stamp: Stamp | None  # None if the type has no stamp and counts from its arrival
-    # The array fields that can hold the channels; the first is the usual one
+    stamp: Stamp | None  # None if the type has no stamp; the time of arrival counts
+    # Array fields for the channels; the first is the default
     fields: tuple[str, ...]
     unit: str = "as its publisher defines"  # Unit of the values, in words
     named: bool = False  # Whether messages name their channels
-    count: str = ""  # Field that says how many entries of the array are in use; empty if all are
+    count: str = ""  # Field with the number of array entries in use; empty if all are
 
     @property
     def stamped(self) -> bool:
-        """Whether messages carry their own time."""
+        """Whether messages have a stamp."""
         return self.stamp is not None
 
 
@@ -80,12 +80,12 @@ def stamp_ns(stamp: Any) -> int:
 
 
 def header_ns(message: Any) -> int:
-    """Stamp of the message's std_msgs/Header, ns."""
+    """Return the stamp of the message's std_msgs/Header, ns."""
     return stamp_ns(message.header.stamp)
 
 
 def px4_ns(message: Any) -> int:
-    """Time of the sample of a PX4 message, or of the message where it has no such field, ns."""
+    """Return the sample time of a PX4 message, or else its time of publication, ns."""
     return int(getattr(message, "timestamp_sample", 0) or message.timestamp) * NS_PER_US
 
 
@@ -112,7 +112,7 @@ def _read_px4_angular_velocity(message: Any) -> RatesReading:
 
 
 PX4_RELATIVE_TIMESTAMP_INVALID = 0x7FFFFFFF
-"""SensorCombined: there is no accelerometer sample."""
+"""SensorCombined: value for no accelerometer sample."""
 
 
 def _read_px4_sensor_combined(message: Any) -> RatesReading:
@@ -132,7 +132,7 @@ RATES: dict[str, Callable[[Any], RatesReading]] = {
 """The supported types of the rates topic."""
 
 FRD_TYPES = ("px4_msgs/msg/VehicleAngularVelocity", "px4_msgs/msg/SensorCombined")
-"""Those whose axes are forward-right-down by their definition; of the others a parameter says."""
+"""Types with axes forward-right-down by definition; others follow `imu.convention`."""
 
 ACTUATORS: dict[str, ActuatorAdapter] = {
     "std_msgs/msg/Float64MultiArray": ActuatorAdapter(None, ("data",)),
@@ -154,7 +154,7 @@ ACTUATORS: dict[str, ActuatorAdapter] = {
 """The supported types of the actuator topic."""
 
 Reading = tuple[int | None, Any]
-"""Stamp, ns, None if the type has none and counts from its arrival; and the values."""
+"""Stamp, ns (None if the type has none: the time of arrival counts), and values."""
 
 PX4_ARMING_STATE_ARMED = 2
 """VehicleStatus: the value of `arming_state` while armed."""
@@ -192,12 +192,12 @@ EXCITATION_TYPE = "sensor_msgs/msg/JointState"
 
 
 def read_excitation(message: Any) -> tuple[int, tuple[float, ...]]:
-    """Return stamp, ns, and de, dr, da, dth; 0 for those that the message does not name.
+    """Return stamp, ns, and de, dr, da, dth; 0 for inputs that are not in the message.
 
     Raises
     ------
     ChannelError
-        If it names something else, or holds no value for a name.
+        If it has another name, or a name without a value.
     """
     names, positions = list(message.name), list(message.position)
     unknown = [name for name in names if name not in INPUTS]
@@ -211,7 +211,7 @@ def read_excitation(message: Any) -> tuple[int, tuple[float, ...]]:
 
 
 class ActuatorReader:
-    """Reads the configured channels from actuator messages.
+    """Reader of the configured channels in actuator messages.
 
     Raises
     ------
@@ -265,7 +265,7 @@ class ActuatorReader:
         return adapter.stamp(message) if adapter.stamp else None, selected
 
     def _find(self, names: list[str]) -> None:
-        """Look the configured channels up among the `names` of a message."""
+        """Find the configured channels among the `names` of a message."""
         indices = []
         for channel in map(str, self._channels):
             if channel not in names:
@@ -277,7 +277,7 @@ class ActuatorReader:
 
 
 def listed(items: Sequence[object], nothing: str = "none") -> str:
-    """Return names in one line, not more of them and no longer than somebody reads."""
+    """Return names in one line, within the limits `MOST_LISTED` and `LONGEST_NAME`."""
     names = [f"{item}" for item in items[:MOST_LISTED]]
     shown = [name if len(name) <= LONGEST_NAME else f"{name[:LONGEST_NAME]}..." for name in names]
     more = f" and {len(items) - MOST_LISTED} more" if len(items) > MOST_LISTED else ""
@@ -289,13 +289,13 @@ FRAME_IDS = {"flu": "base_link", "frd": "base_link_frd"}
 
 
 class RatesReader:
-    """Reads rates messages, and holds their axes against the settings."""
+    """Reader of rates messages; it compares their axes with the settings."""
 
     def __init__(self, settings: ImuSettings) -> None:
         self._settings = settings
         self._read = RATES[settings.type]
         self.frame_id: str | None = None  # Frame of the newest message; None before the first
-        # How their axes contradict the settings; empty if they do not
+        # Contradiction between axes and settings; empty if none
         self.fault = frame_fault(settings.convention, "", settings.type)
 
     def __call__(self, message: Any) -> Reading:
@@ -309,7 +309,7 @@ class RatesReader:
         return self.checked(self._read(message))
 
     def checked(self, reading: RatesReading) -> Reading:
-        """Return the same from what was read already."""
+        """Return the same for a reading."""
         if reading.frame_id != self.frame_id:
             self.frame_id = reading.frame_id
             self.fault = frame_fault(
@@ -323,7 +323,7 @@ class RatesReader:
 
 
 def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:
-    """Say how a message's axes contradict ``imu.convention``; empty if they do not."""
+    """Return the contradiction of a message's axes to ``imu.convention``; empty if none."""
     if convention == "frd":
         return ""
     if frame_id.endswith(("_frd", "_ned")):
