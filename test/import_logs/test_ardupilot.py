@@ -142,8 +142,8 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importe
     rates = at(COMMAND_US, "RATE", out)
     bag, values, printed = imported(importer, rates, QUAD, pulses=rcou(10))
     assert (
-        "RCOU is logged at 5 Hz only (LOG_BITMASK); RATE is at 50 Hz, from before the mixer, and "
-        "knows nothing of saturation"
+        "RCOU is logged at 5 Hz only (LOG_BITMASK); RATE is at 50 Hz, before the mixer, and does "
+        "not show saturation"
     ) in printed
     assert bag.names == ["roll", "pitch", "yaw", "throttle"]
     np.testing.assert_allclose(bag.actuators, np.tile(requested, (len(COMMAND_US), 1)), rtol=1e-6)
@@ -174,7 +174,7 @@ def test_all_bits_that_are_missing_are_asked_for_in_the_end(importer: Importer) 
 def test_a_quadplane_flies_by_its_surfaces_unless_its_hover_is_asked_for(
     importer: Importer,
 ) -> None:
-    """RATE is fast, and what is asked of the lift motors alone."""
+    """RATE is fast, and has the demands on the lift motors alone."""
     values = servos(4, 19, 70, 21, 33, 34, 35, 36)
     rows = [(START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",))]
     rows += at(COMMAND_US, "RATE", (0, 0, 0.1) * 4)
@@ -182,7 +182,7 @@ def test_a_quadplane_flies_by_its_surfaces_unless_its_hover_is_asked_for(
     bag, found, printed = imported(importer, rows, values, pulses=rcou(10))
     assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
     assert "structure" not in found
-    assert "RATE, what is asked of its lift motors, is passed over" in printed
+    assert "RATE, the demands on its lift motors, is passed over" in printed
     hover = importer(importer.log, "--actuators-topic", "RATE")
     assert hover.bag.names == ["roll", "pitch", "yaw", "throttle"]
     assert hover.values["structure"] == "augmented"
@@ -267,7 +267,7 @@ def test_attitude_mode_and_setpoints_come_along(importer: Importer, scale: float
         ([(50, "EV", 10), (250, "EV", 11)], (50, 250), "armed for 0.8 s in 1 stretch(es) (EV)"),
         ([(100, "EV", 28), (200, "EV", 18)], (100, 200), "in the air for 0.4 s"),
         ([(0, "ARM", 1), (100, "STAT", 0)], (0, 0),
-         "never in the air (STAT.isFlying): no model can come of this log; if it did fly, empty"),
+         "never in the air (STAT.isFlying): this log gives no model; if it did fly, empty"),
         ([(200, "ARM", 0)], (0, 200), "armed for 0.8 s in 1 stretch(es) (ARM)"),  # begun in flight
         ([(200, "EV", 15)], None, "the log does not say when it flew"),
     ],

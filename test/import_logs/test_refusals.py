@@ -138,7 +138,7 @@ def test_one_damaged_byte_costs_one_sample(
         assert "in 1 place, about 0.0" in printed
     else:
         kind = "sensor_combined" if write is ulog else "IMU"
-        assert f"1 of 2000 samples of {kind} have a stamp that no clock gave" in printed
+        assert f"1 of 2000 samples of {kind} have an implausible stamp" in printed
 
 
 # --- ULog ---------------------------------------------------------------------------------------
@@ -352,7 +352,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("the file has no axes", of_map("axes: frd\n", "")),
     ("three columns x, y, z are needed", of_map("[p, q, r]", "[p, q]")),
     ("elevator.de is 'up': a finite number is needed", of_map("de: 1.0", "de: up")),
-    ("no channel says what it moves", of_map(", de: 1.0", "")),
+    ("no channel has a weight", of_map(", de: 1.0", "")),
     ("channels.elevator has an unknown entry 'dq'", of_map("de: 1.0", "dq: 1.0")),
     ("columns.yaml': line [1-6]: ", of_map("time: {column: t}", "time: {")),
 ]  # fmt: skip

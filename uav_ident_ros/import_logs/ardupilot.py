@@ -100,7 +100,7 @@ class _ArduPilot(Import):
             del explained["RCOU"]
         if _firmware(self.log.title) == "Plane" and {"RATE"} < set(explained):
             self.findings.assumed.append(
-                "a QuadPlane in forward flight: RATE, what is asked of its lift motors, is passed "
+                "a QuadPlane in forward flight: RATE, the demands on its lift motors, is passed "
                 "over (--actuators-topic RATE for its hover)"
             )
             del explained["RATE"]

@@ -168,7 +168,7 @@ class Import:
             reason = f"covers {100.0 * shares[name]:.0f} % of the flight only"
             if rates[name] < ENOUGH_RATE and shares[name] >= enough:
                 reason = f"is logged at {rates[name]:.3g} Hz only{self._to_log_faster(name)}"
-            loss = ", from before the mixer, and knows nothing of saturation"
+            loss = ", before the mixer, and does not show saturation"
             tail = loss if chosen in before_mixer and name not in before_mixer else ""
             self.findings.lost.append(
                 f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}"
@@ -228,8 +228,8 @@ class Import:
                 )
             else:
                 self.findings.lost.append(
-                    f"the vehicle was never {state} ({source}): no model can come of this log; if "
-                    "it did fly, empty 'armed.type'"
+                    f"the vehicle was never {state} ({source}): this log gives no model; if it did "
+                    "fly, empty 'armed.type'"
                 )
         if self.flown is None:
             self.findings.assumed.append(self.table["always_flies"])
@@ -406,7 +406,7 @@ class Import:
             streams["attitude"] = attitude
         if setpoint := self._first("setpoint"):
             fields = ", ".join(self.table["streams"]["setpoint"][setpoint.source])
-            self.findings.read.append(f"rates asked for: {setpoint.source}.{fields}")
+            self.findings.read.append(f"rate setpoint: {setpoint.source}.{fields}")
             values = self.table["setpoint_unit"] * setpoint.values
             streams["setpoint"] = replace(setpoint, values=values)
         if mode := self._first("mode"):

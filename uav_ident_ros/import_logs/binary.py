@@ -10,7 +10,7 @@ from uav_ident_ros.import_logs.log import Log
 Gap = tuple[int, int]
 """Start and end of bytes that are no message."""
 
-CUT_OFF = "the file is cut off at its end: what is there was read"
+CUT_OFF = "the file is cut off at its end: the part before was read"
 
 
 class BinaryLog:

@@ -46,7 +46,7 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
         if columns:
             log.add(name, 0, {IN_NS: t_ns, **columns})
     if not log.kinds:
-        raise log.refusal(" has no frame with a stamp that a clock gave")
+        raise log.refusal(" has no frame with a plausible stamp")
     importer = _Blackbox(log, KNOWN, choice)
     importer.headers = headers
     return importer.flight_log()
@@ -131,7 +131,7 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
         else:
             log.findings.damage.append(
                 f"the file is damaged: orangebox stopped at byte {reader.tell()} of {len(reader)} "
-                f"({' '.join(str(error).split())}); what stands before was read"
+                f"({' '.join(str(error).split())}); the part before was read"
             )
     used = ("time", "loopIteration", *SIGNALS)
     columns = {

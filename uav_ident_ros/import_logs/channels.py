@@ -80,7 +80,7 @@ def over_range(
         If high is not above low.
     """
     if not high > low:
-        raise ValueError(f"{channel.name} is said to run from {low:g} to {high:g}: no range")
+        raise ValueError(f"{channel.name} has the range {low:g} to {high:g}, which is empty")
     span, halves, rest = f"{low:g} to {high:g}", 1.0, high if turned else low
     if centre is not None:
         span, halves, rest = f"{low:g} {centre:g} {high:g}", 2.0, centre

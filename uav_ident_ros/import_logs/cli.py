@@ -47,7 +47,7 @@ _DESCRIPTION = """\
 Turn a PX4 log (.ulg), an ArduPilot dataflash log (.bin), a blackbox log of Betaflight (.bbl) or a
 table (.csv with a column map) into an MCAP bag with /imu/data, /actuators (named channels) and,
 if the log has them, /airspeed, /armed, /mode and /setpoint/rates. identifier.yaml beside it holds
-the parameters that fit. The facts read from the log and the assumptions stand on the screen and in
+the parameters for it. The facts read from the log and the assumptions are printed, and written into
 that file."""
 
 _EPILOG = f"""\
@@ -71,7 +71,7 @@ def parser() -> argparse.ArgumentParser:
     )
     add = result.add_argument
     add("log", type=Path, metavar="LOG",
-        help="log file, whose first bytes tell what it is, or a folder of ulog2csv")  # fmt: skip
+        help="log file, recognised by its first bytes, or a folder of ulog2csv")  # fmt: skip
     add("--output", type=Path, metavar="DIR", help="folder of the new bag (default: LOG's name)")
     add("--columns", type=Path, metavar="FILE", help="column map of a table")
     add("--rates-topic", metavar="NAME",
@@ -135,7 +135,7 @@ def read_log(options: argparse.Namespace) -> FlightLog:
     except Exception as error:  # damaged bytes make readers fail in any way
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ImportLogError(
-            f"log '{options.log}' cannot be used: what it says makes no sense ({reason})"
+            f"log '{options.log}' cannot be used: its content is inconsistent ({reason})"
         ) from error
     log = replace(log, title=printable(log.title, LONGEST_TITLE))
     if options.flight_only:

@@ -131,7 +131,7 @@ def _channels(content: Any) -> dict[str, Channel]:
         effect, meaning = (de, dr, da, dth), f"column '{column}'"
         channels[column] = Channel(str(name), effect, meaning, unit=unit, **given)
     if not any(any(channel.effect) for channel in channels.values()):
-        raise EntryError(f"no channel says what it moves: give weights of {', '.join(INPUTS)}")
+        raise EntryError(f"no channel has a weight: give weights of {', '.join(INPUTS)}")
     return channels
 
 
@@ -187,7 +187,7 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
 def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
     """Return the streams of a table; its rows must be in the order of time."""
     if rows is None:
-        raise EntryError("it has no row with a stamp that a clock gave")
+        raise EntryError("it has no row with a plausible stamp")
     t_ns = rows.stamp_ns
     steps = np.diff(t_ns)
     back, ahead = int((steps < 0).sum()), int((steps > 0).sum())

@@ -119,8 +119,8 @@ class Log:
         good = plausible(Messages(name, columns).stamp_ns)
         if not good.all():
             self.findings.damage.append(
-                f"{int((~good).sum())} of {len(good)} samples of {name} have a stamp that no clock "
-                "gave, and were left out"
+                f"{int((~good).sum())} of {len(good)} samples of {name} have an implausible "
+                "stamp and were left out"
             )
         columns = {field: values[good] for field, values in columns.items()}
         which = columns.get(instance_field, np.full(int(good.sum()), instance))

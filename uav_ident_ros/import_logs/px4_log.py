@@ -209,7 +209,7 @@ def read_folder(path: Path, topics: Collection[str]) -> Log:
         log.parameters |= {name: float(value) for name, value, *_ in rows}
     if not log.parameters:
         log.findings.lost.append(
-            "the tables say nothing of the parameters: ulog_params LOG.ulg params.csv writes them"
+            "the tables do not have the parameters: ulog_params LOG.ulg params.csv writes them"
         )
     return log
 
