@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flying import flight_of, identified, light_errors, light_measured, with_injected
 
-from uav_ident_ros.identification.delay import APART, LAGS, STEP, SYSTEMATIC_ERROR, told
+from uav_ident_ros.identification.delay import APART, LAGS, STEP, SYSTEMATIC_ERROR, by_injection
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.injected_response import Found, InjectedResponse
 from uav_ident_ros.identification.structure import FloatArray
@@ -72,7 +72,7 @@ def test_delay_and_lag_are_told_in_the_loop_and_in_gusts(
     own, sigma = by.lag
     assert abs(by.total - delay - lag) < 3.0 * math.hypot(by.covariance[0, 0] ** 0.5, 0.004)
     assert abs(own - lag) < 3.0 * math.hypot(sigma, 0.004)
-    assert told(by, by, 0.0).total_sure
+    assert by_injection(by, by, 0.0).total_sure
 
 
 def test_the_lag_in_use_is_undone_and_a_given_one_leaves_its_delay() -> None:
@@ -87,7 +87,7 @@ def test_the_lag_in_use_is_undone_and_a_given_one_leaves_its_delay() -> None:
     # steps held and steps that decay differ by half a step
     assert undone.total == pytest.approx(plain.total, abs=0.7 * STEP)
     assert undone.lag[0] == pytest.approx(plain.lag[0], abs=0.01)
-    estimate = told(plain, given, 0.06)
+    estimate = by_injection(plain, given, 0.06)
     assert estimate.delay == pytest.approx(0.04, abs=SYSTEMATIC_ERROR)
     assert estimate.lag_sure and estimate.lag == pytest.approx(0.06, abs=SYSTEMATIC_ERROR)
     assert given.lag == (pytest.approx(0.06), 0.0)
@@ -98,7 +98,7 @@ def test_what_was_never_injected_tells_nothing(gusts: float) -> None:
     """An autopilot that ignores what it is asked for answers gusts all the same."""
     x, u, _ = answered(0.06, 0.0, gusts, peak=0.0)
     by = found(x, u, answered(0.0, 0.0)[2])
-    assert by is None or not told(by, by, 0.0).sure
+    assert by is None or not by_injection(by, by, 0.0).sure
 
 
 def hovering(
@@ -153,7 +153,7 @@ def test_a_short_lag_that_the_sum_leaves_open_denies_no_row(lag: float, usable: 
     m = light_measured(60.0, bank=20.0, delay=0.02, time_constant=lag)
     given = {"actuators__time_constant": 0.0, "actuators__estimate_delay": True}
     identifier, (*_, last) = identified(m, stream=with_injected(m), **given)
-    assert identifier.delays.estimate.lag_is_told
+    assert identifier.delays.estimate.from_injected
     assert identifier.lag == 0.0 and last.usable == usable, last.reason
     _, sigmas = light_errors(last, "pdot/da", "qdot/de", "rdot/dr")
     assert (sigmas < 2.0).all()

@@ -99,7 +99,7 @@ def test_a_surface_that_rests_while_its_row_learns_is_accused_of_nothing(seed: i
     looked, noise = ModelError(LAYOUT), 0.1 * rng.normal(size=len(t))
     found = shares(by_aileron(u, DAMPING * p + EFFECT * u + noise, p), looked)
     assert found.max() < 0.02
-    assert looked.doubt(KNOWN_ROWS).max() < 0.02
+    assert looked.relative_error(KNOWN_ROWS).max() < 0.02
 
 
 def early(seconds: float = 60.0, noise: float = 0.3) -> tuple[RowSamples, float]:
@@ -119,9 +119,9 @@ def test_an_aileron_that_acts_early_counts_in_every_row() -> None:
     samples, ahead = early()
     looked = ModelError(LAYOUT)
     assert shares(samples, looked)[-1].tolist() == [0.0, 0.0, 0.0]  # nothing is taken away
-    assert looked.doubt(KNOWN_ROWS) == pytest.approx([ahead] * 3, rel=0.1)
+    assert looked.relative_error(KNOWN_ROWS) == pytest.approx([ahead] * 3, rel=0.1)
     # nobody knows whether an aileron is early of which nobody knows what it does
-    assert looked.doubt(np.array([False, True, True])).tolist() == [0.0, 0.0, 0.0]
+    assert looked.relative_error(np.array([False, True, True])).tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("settled", [True, False])
@@ -131,9 +131,9 @@ def test_what_seemed_early_at_the_start_goes_as_soon_as_there_is_enough_without(
     looked = ModelError(LAYOUT)
     samples, ahead = early(30.0, noise=0.1)
     shares(samples, looked, settled=False)
-    assert looked.doubt(KNOWN_ROWS) == pytest.approx([ahead] * 3, rel=0.1)
+    assert looked.relative_error(KNOWN_ROWS) == pytest.approx([ahead] * 3, rel=0.1)
     shares(rolled(seconds=20.0), looked, settled=settled)
-    assert (looked.doubt(KNOWN_ROWS).max() < 0.01) == settled
+    assert (looked.relative_error(KNOWN_ROWS).max() < 0.01) == settled
 
 
 def test_what_was_late_stays_while_nothing_is_learned() -> None:

@@ -158,8 +158,8 @@ def test_a_start_from_another_aircraft_is_left_and_named(factor: float) -> None:
 
 def test_the_verdict_waits_as_after_a_cold_start_where_the_start_was_wrong() -> None:
     flown, estimates = flying.identified(turning(), told(1.7))
-    told_wrong = next(change for change in flown.supervisor.changed if change.told_wrong)
-    first = told_wrong.t - estimates[0].t_ns * 1e-9
+    rejected = next(change for change in flown.supervisor.changed if change.prior_rejected)
+    first = rejected.t - estimates[0].t_ns * 1e-9
     assert first < 20.0
     assert not any(e.usable for e in flying.since(estimates, first + 0.1, 29.0))
 

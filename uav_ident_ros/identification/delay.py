@@ -106,7 +106,7 @@ class DelayEstimate:
         return self.sure and self.total_sigma <= SURE_SIGMA
 
     @property
-    def lag_is_told(self) -> bool:
+    def from_injected(self) -> bool:
         """Whether it is what is injected that tells of delay and lag, with standard deviations."""
         return math.isfinite(self.lag_sigma)
 
@@ -126,7 +126,7 @@ class DelayEstimate:
         No lag is longer than the sum: no input acts before it is given.
         """
         off = self.lag - lag
-        if self.lag_is_told and self.total_sure and lag - self.total > 2.0 * self.total_sigma:
+        if self.from_injected and self.total_sure and lag - self.total > 2.0 * self.total_sigma:
             return min(off, self.total - lag)
         return off if self.lag_sure and abs(off) > 2.0 * self.lag_sigma else 0.0
 
@@ -229,12 +229,12 @@ class DelayBank:
         self._errors: deque[FloatArray] = deque(maxlen=BLOCKS)
         self._power: FloatArray = np.zeros((len(LAGS), len(INPUTS)))  # Of the inputs with each lag
         self._block: Generator[None, None, bool] | None = None
-        self._response, self._told = InjectedResponse(), NO_ESTIMATE
+        self._response, self._injected = InjectedResponse(), NO_ESTIMATE
         if before is not None:
             self._response, known = before._response, before.estimate
             delay, sigma = known.total - lag, known.total_sigma
-            self._told = replace(known, delay=delay, sigma=sigma, hidden=known.lag_sigma)
-        self.estimate: DelayEstimate = self._told
+            self._injected = replace(known, delay=delay, sigma=sigma, hidden=known.lag_sigma)
+        self.estimate: DelayEstimate = self._injected
         self._delay_ns = 0
         self.restart()
 
@@ -353,7 +353,7 @@ class DelayBank:
             models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
             yield
         if signals.injected and self._response.windows > 2 * FEWEST_BLOCKS:
-            yield from self._ask_response()
+            yield from self._use_response()
         errors = [e for e in found if e is not None]  # none by models that know nothing yet
         if not errors:
             return False
@@ -362,16 +362,16 @@ class DelayBank:
             opposed = False if self._has_flow else self._models[0].opposed(self._early)
             bank = judge(np.stack(self._errors), self.delays, self._lag, opposed)
             if self._response.windows > 0.0:  # then it is for that to say what the sum is
-                bank = replace(bank, total_sigma=max(bank.total_sigma, self._told.total_sigma))
-            self.estimate = self._told if self._told.total_sure else bank
+                bank = replace(bank, total_sigma=max(bank.total_sigma, self._injected.total_sigma))
+            self.estimate = self._injected if self._injected.total_sure else bank
         return True
 
-    def _ask_response(self) -> Generator[None]:
+    def _use_response(self) -> Generator[None]:
         """Take what the response to what is injected tells, if anything."""
         found = yield from self._response.find(self.delays, LAGS, APART * STEP)
-        alone = yield from self._response.find(self.delays, (self._lag,), APART * STEP)
-        if found is not None and alone is not None:
-            self._told = told(found, alone, self._lag)
+        at_lag = yield from self._response.find(self.delays, (self._lag,), APART * STEP)
+        if found is not None and at_lag is not None:
+            self._injected = by_injection(found, at_lag, self._lag)
 
 
 class _Models:
@@ -470,22 +470,22 @@ class _Models:
         return states[..., :3].reshape(count, WINDOW, WINDOWS, 3)
 
 
-def told(
+def by_injection(
     found: Found,  # Delay and lag by the response to what is injected
-    alone: Found,  # The same with the lag in use
+    at_lag: Found,  # The same with the lag in use
     lag: float,  # Servo lag in use, s
 ) -> DelayEstimate:
     """Return what the response to what is injected tells."""
     total_sigma, sigma = (
-        math.hypot(SYSTEMATIC_ERROR, math.sqrt(f.covariance[0, 0])) for f in (found, alone)
+        math.hypot(SYSTEMATIC_ERROR, math.sqrt(f.covariance[0, 0])) for f in (found, at_lag)
     )
     own, lag_sigma = found.lag
     return DelayEstimate(
-        delay=alone.total - lag,
+        delay=at_lag.total - lag,
         sigma=sigma,
         total=max(found.total, 0.0),
         total_sigma=total_sigma,
-        rise=min(found.rise, alone.rise),
+        rise=min(found.rise, at_lag.rise),
         lag=own,
         lag_sigma=math.hypot(SYSTEMATIC_ERROR, lag_sigma),
         hidden=min(math.hypot(own - lag, lag_sigma), LAGS[-1]),
@@ -530,18 +530,18 @@ def judge(
     variance = (count - 1) * found[3:].var(axis=0) + 0.25 * (found[1] - found[2]) ** 2
     middle = int(np.argmin(cost[0, 0]))
     answered = np.broadcast_to(opposed, total[0].shape)
-    variance += SYSTEMATIC_ERROR**2 + _feigned(total[0], middle, answered[middle]) ** 2
+    variance += SYSTEMATIC_ERROR**2 + _feedback_lateness(total[0], middle, answered[middle]) ** 2
     sides = np.clip([middle - APART, middle + APART], 0, len(delays) - 1)
     rises = cost[:, 0, sides] - cost[:, 0, [middle]]
     spread = np.sqrt((count - 1) * rises[3:].var(axis=0)) + np.finfo(float).tiny
     # An autopilot's answers come after the motion, as if inputs acted before they are given.
-    told = inside[0, 0] and not (found[0, 0] < 0.0 and answered[np.abs(delays).argmin()].any())
+    valid = inside[0, 0] and not (found[0, 0] < 0.0 and answered[np.abs(delays).argmin()].any())
     return DelayEstimate(
         delay=float(found[0, 0]),
         sigma=math.sqrt(variance[0]),
         total=max(float(whole[0]), 0.0) + lag,
         total_sigma=math.sqrt(variance[1] + between),
-        rise=float((rises[0] / spread).min()) if told else 0.0,
+        rise=float((rises[0] / spread).min()) if valid else 0.0,
         hidden=math.sqrt(float(weight[0] @ np.square(LAGS))),
     )
 
@@ -551,7 +551,7 @@ def _logarithms(errors: FloatArray) -> FloatArray:
     return np.asarray(np.log(np.maximum(errors, np.finfo(float).tiny)))
 
 
-def _feigned(
+def _feedback_lateness(
     errors: FloatArray,  # (J, 3) Squared errors of p, q, r
     middle: int,  # Where they are least
     opposed: BoolArray,  # (3,) Whether the inputs act against p, q, r

@@ -16,7 +16,7 @@ import numpy as np
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank, DelayEstimate
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
-from uav_ident_ros.identification.estimators.beside import Beside, known_inputs
+from uav_ident_ros.identification.estimators.second import SecondEstimator, known_inputs
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, SpikeFilter, grounded
@@ -132,7 +132,7 @@ class OnlineIdentifier:
         self._saved: FloatArray | None = None
         self.intake = Intake(settings, self.restart)
         self.supervisor = Supervisor(settings, self.structure, gates)
-        self._fresh: Beside[Estimator] | None = None
+        self._fresh: SecondEstimator[Estimator] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -231,7 +231,7 @@ class OnlineIdentifier:
 
     def _is_warm(self) -> bool:
         """Whether the control derivatives were told, and the flight has not contradicted them."""
-        return self.estimator.start.warm(self.settings.supervision.min_t_ratio)
+        return self.estimator.start.inputs_known(self.settings.supervision.min_t_ratio)
 
     def restart(self) -> None:
         """Start on a new time base: buffers and filters restart, the coefficients stay."""
@@ -504,7 +504,7 @@ class OnlineIdentifier:
         self._begin_anew_beside(samples)
         if self.estimator.changes:
             self.running_fit.forget()
-        if self.estimator.contradicted:
+        if self.estimator.rejected:
             self._warm = self._is_warm()
 
     def _begin_anew_beside(self, samples: Regression) -> None:
@@ -513,7 +513,7 @@ class OnlineIdentifier:
         if needless or known_inputs(self.estimator).any():
             self._fresh = None
             return
-        fresh = self._fresh or Beside(self._cold_estimator(), self._layout)
+        fresh = self._fresh or SecondEstimator(self._cold_estimator(), self._layout)
         if fresh.estimator is self.estimator:  # one's own, which there is once
             return
         self._fresh = fresh
@@ -533,7 +533,7 @@ class OnlineIdentifier:
 
     def _cold_estimator(self) -> Estimator:
         """Return an estimator that has learned nothing yet."""
-        start = self._start.doubted(self.structure)
+        start = self._start.weakened(self.structure)
         if self._has_accelerometer is False:
             start = without_flow(start, self.structure)
         return self._make_estimator(self.settings, start)

@@ -255,12 +255,12 @@ def _judged(
     and counts as an error, too; and it tells nothing.
     """
     seen, by_chance = _moments(rows, point)
-    told = (seen - by_chance)[:2, :2][free][:, free]
-    if np.linalg.eigvalsh(told)[0] <= 0.0:
+    information = (seen - by_chance)[:2, :2][free][:, free]
+    if np.linalg.eigvalsh(information)[0] <= 0.0:
         return None
     freedom = sum(row.freedom for row in rows) - int(free.sum())
     covariance, back = np.zeros((2, 2)), np.zeros(2)
-    covariance[np.ix_(free, free)] = np.linalg.inv(told) * max(least / freedom, 1.0)
+    covariance[np.ix_(free, free)] = np.linalg.inv(information) * max(least / freedom, 1.0)
     moves = free & (np.array([True, False]) | (point > 0.0))
     back[moves] = np.linalg.solve(seen[:2, :2][moves][:, moves], -by_chance[:2, 2][moves])
     total, square = point + back

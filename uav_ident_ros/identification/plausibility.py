@@ -508,7 +508,7 @@ class SetupErrors:
         if late:
             reason = estimate.contradiction(delay, held())
             self._found.append(SetupError(self._late(values, late), reason))
-        elif estimate.sure and (estimate.lag_is_told or not lag_is_told):
+        elif estimate.sure and (estimate.from_injected or not lag_is_told):
             self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
         if height:
             self._found.append(self._height_error(values, height))
@@ -542,7 +542,7 @@ class SetupErrors:
         """
         hidden, settles = estimate.hidden, self._settles(values)
         share, missed, cure = np.abs(hidden * settles), 0.0, "or excite the aircraft (~/excite)"
-        if estimate.lag_is_told:
+        if estimate.from_injected:
             share, cure = 0.5 * share**2, "or go on with the excitation"
             missed = estimate.total - in_use
         errors = share[:, None] * np.abs(values[: len(ROWS)])

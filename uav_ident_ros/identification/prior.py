@@ -106,30 +106,30 @@ class Start:
         precision[self.free] = self.sigma[self.free] ** -2
         return precision
 
-    def known_before(self, structure: Structure) -> BoolArray:
+    def known_a_priori(self, structure: Structure) -> BoolArray:
         """Coefficients of which something was known before the flight, shape (R, n).
 
         Of the force rows something is known of any aircraft: lift is weight, and how much of it
         surfaces and fins make. Of the others, only what somebody has told or a flight before.
         """
-        known = self.told(structure)
+        known = self.informative(structure)
         forces = [flow.force for flow in structure.flow]
         known[forces] = self.free[forces]
         return known
 
-    def told(self, structure: Structure) -> BoolArray:
+    def informative(self, structure: Structure) -> BoolArray:
         """Coefficients that somebody has told, or a flight before, shape (R, n)."""
         return np.asarray(self.free & (self.sigma < weak_sigma(structure)))
 
-    def doubted(self, structure: Structure, which: BoolArray | None = None) -> Start:
+    def weakened(self, structure: Structure, which: BoolArray | None = None) -> Start:
         """Return the start without what was told of some coefficients (R, n), of all if left out.
 
         Their values are a place to start from, no more.
         """
-        told = self.told(structure) if which is None else self.told(structure) & which
-        return replace(self, sigma=np.where(told, weak_sigma(structure), self.sigma))
+        weak = self.informative(structure) if which is None else self.informative(structure) & which
+        return replace(self, sigma=np.where(weak, weak_sigma(structure), self.sigma))
 
-    def warm(self, t_ratio: float) -> bool:
+    def inputs_known(self, t_ratio: float) -> bool:
         """Whether each moment row starts with a control derivative of so many sigmas."""
         moments = np.s_[: len(ROWS), INPUT_COLUMNS]
         size = np.abs(self.values[moments])

@@ -232,12 +232,12 @@ class Feedback:
         chance = (n - 1) * GUST_TIME / time
         surely = 1.0 + SURE * np.sqrt(2.0 / (n - 1))
         sure = share > chance * surely
-        asked = np.flatnonzero(sure & self._stronger(covariance, share - chance, effect))
-        foretold = [self._foretold(covariance, i) for i in asked.tolist()]
-        sure[asked] = np.array(foretold) > (n - 1) * interval / time * surely
+        tested = np.flatnonzero(sure & self._exceeds(covariance, share - chance, effect))
+        predicted = [self._predicted_share(covariance, i) for i in tested.tolist()]
+        sure[tested] = np.array(predicted) > (n - 1) * interval / time * surely
         self._set_share(np.maximum(share - chance, 0.0), sure)
 
-    def _stronger(self, covariance: FloatArray, share: FloatArray, effect: FloatArray) -> BoolArray:
+    def _exceeds(self, covariance: FloatArray, share: FloatArray, effect: FloatArray) -> BoolArray:
         """Whether such shares of the inputs, (4,), do more than the gusts of their plane of motion.
 
         So does the throttle, which no rate loop moves, and which has no row of its own.
@@ -250,7 +250,7 @@ class Feedback:
         stronger[_MAIN_PLACES] = moves > gusts
         return stronger
 
-    def _foretold(self, covariance: FloatArray, i: int) -> float:
+    def _predicted_share(self, covariance: FloatArray, i: int) -> float:
         """Return the share of what is new in an input that past residuals foretell.
 
         New is what its own past does not foretell.

@@ -11,7 +11,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.estimators.excitation import WINDOW_TIME
-from uav_ident_ros.identification.estimators.model_error import sigma_beside
+from uav_ident_ros.identification.estimators.model_error import sigma_without_error
 from uav_ident_ros.identification.gates import TOO_FAR, TOO_QUIET, Gate, Gates, ResidualGate
 from uav_ident_ros.identification.parallel_model import RunningFit
 from uav_ident_ros.identification.residuals import Confirmation
@@ -53,7 +53,7 @@ class Change(NamedTuple):
     """A coefficient that was found changed in flight, or told wrong."""
 
     name: str  # ``pdot/da`` and so on
-    told_wrong: bool
+    prior_rejected: bool
     t: float  # When it was noticed, s of message time
     sigma: float  # Its standard deviation before
 
@@ -119,8 +119,8 @@ class Supervisor:
         self.gates.charge("excitation", ticks * quiet / len(ROWS))
         for i, j in estimator.changes:
             name = f"{ROWS[i]}/{self._structure.regressors[j]}"
-            told_wrong = (i, j) in estimator.contradicted
-            change = Change(name, told_wrong, t, float(self._sigma[i, j]))
+            prior_rejected = (i, j) in estimator.rejected
+            change = Change(name, prior_rejected, t, float(self._sigma[i, j]))
             self._relearning[i, j] = change
             self.changed.append(change)
             self._residuals.release(i)
@@ -159,7 +159,7 @@ class Supervisor:
             young = f"{int(learned_time)} s of learning, {JUDGED_FROM:g} s are needed for a verdict"
         settings = self.settings.supervision
         main, spread = coefficients[MAIN_DERIVATIVES], sigma[MAIN_DERIVATIVES]
-        beside = sigma_beside(spread, main, model_error)
+        beside = sigma_without_error(spread, main, model_error)
         relearning: dict[int, str] = {}
         for (i, j), change in list(self._relearning.items()):
             known = settings.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
@@ -168,7 +168,7 @@ class Supervisor:
             if known and t - change.t > WINDOW_TIME:
                 del self._relearning[i, j]
             else:
-                why = "is not what was told" if change.told_wrong else "changed in flight"
+                why = "is not what was told" if change.prior_rejected else "changed in flight"
                 relearning[i] = f"{change.name} {why} and is learned anew"
         first, second, third = (
             relearning.get(i)

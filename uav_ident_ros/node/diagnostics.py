@@ -103,7 +103,7 @@ def estimate_values(estimate: Estimate, identifier: OnlineIdentifier) -> Iterato
         ("collinear", "; ", map(", ".join, information.collinear())),
         ("gates [% of the flight]", ", ", gates),
         ("implausible", "; ", (f.text for f in identifier.plausibility.findings)),
-        ("changed in flight", ", ", (c.name for c in supervisor.changed if not c.told_wrong)),
-        ("told wrong", ", ", (c.name for c in supervisor.changed if c.told_wrong)),
+        ("changed in flight", ", ", (c.name for c in supervisor.changed if not c.prior_rejected)),
+        ("told wrong", ", ", (c.name for c in supervisor.changed if c.prior_rejected)),
     ):
         yield label, separator.join(found_so_far) or "nothing"

@@ -33,7 +33,7 @@ class Estimator(Protocol):
         What went wrong, in a sentence; empty if nothing did.
     learning : (3,) bool array
         Rows that learned at the last update; the others saw no excitation.
-    changes, contradicted : list of (row, column)
+    changes, rejected : list of (row, column)
         Coefficients that were found changed, and released, at the last update; those of them that
         were told wrong.
     """
@@ -44,7 +44,7 @@ class Estimator(Protocol):
     problem: str
     learning: BoolArray
     changes: list[tuple[int, int]]
-    contradicted: list[tuple[int, int]]
+    rejected: list[tuple[int, int]]
 
     @property
     def clear(self) -> BoolArray:

@@ -52,7 +52,7 @@ KEPT = np.exp(-LOOK_TIME / MEMORY)
 """Share of the usual size that is kept from look to look."""
 
 
-ACQUITTED = 0.5 * SURE
+CLEARED = 0.5 * SURE
 """Standard deviations below which what seemed to change does not any more: between the two no look
 is new."""
 
@@ -161,8 +161,10 @@ class ChangeDetector:
         surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
         owed |= ~self._surfaces & (len(residual) * np.log(surface / left) <= DOUBTLESS**2)
         # The slope along an input that hardly moves tells nothing.
-        tells = noise < np.hypot(unsure, usual)
-        self._follow_seeming(np.abs(size), unsure, np.maximum(usual, noise), sure & ~owed, tells)
+        informative = noise < np.hypot(unsure, usual)
+        self._follow_seeming(
+            np.abs(size), unsure, np.maximum(usual, noise), sure & ~owed, informative
+        )
         # More than all else together: what an autopilot answers to a storm explains up to 0.4.
         explained = np.where(sure & ~owed & (explained >= 1.0 - explained), explained, 0.0)
         changes = []
@@ -187,7 +189,7 @@ class ChangeDetector:
         unsure: FloatArray,
         usual: FloatArray,
         sure: BoolArray,
-        tells: BoolArray,
+        informative: BoolArray,
     ) -> None:
         """Follow by how much each seems to have changed, as far as its input `tells`.
 
@@ -196,11 +198,11 @@ class ChangeDetector:
         """
         sure = sure & (size > SURE * np.hypot(unsure, usual))
         before = np.minimum(self._usual_before, np.where(sure, usual, np.inf))
-        still = size > ACQUITTED * np.hypot(unsure, before)
-        self._usual_before[tells] = np.where(still, before, np.inf)[tells]
-        tells, (row, column) = tells[self._surfaces], self._places
+        still = size > CLEARED * np.hypot(unsure, before)
+        self._usual_before[informative] = np.where(still, before, np.inf)[informative]
+        informative, (row, column) = informative[self._surfaces], self._places
         seeming = np.where(still, size, 0.0)[self._surfaces]
-        self.seeming[row[tells], column[tells]] = seeming[tells]
+        self.seeming[row[informative], column[informative]] = seeming[informative]
 
     def _usual(self) -> FloatArray:
         """Return the usual size of what seems to change, rms: model errors come and go.

@@ -101,7 +101,7 @@ class GradientEstimator:
         self.answers: FloatArray = np.zeros(len(INPUTS))
         self.clear: BoolArray = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
-        self.contradicted: list[tuple[int, int]] = []
+        self.rejected: list[tuple[int, int]] = []
         self.information = Information(
             structure, layout(structure), start, 2.0 / settings.filter.cutoff, instrumental=(True,)
         )

@@ -207,7 +207,7 @@ class Information:
         self.free: BoolArray = used & start.free[self._i, self._j]
         self._precision = np.where(self.free, start.precision[self._i, self._j], 0.0)
         self._prior_variance = np.where(self.free, start.sigma[self._i, self._j] ** 2, 0.0)
-        known = used & start.known_before(self._structure)[self._i, self._j]
+        known = used & start.known_a_priori(self._structure)[self._i, self._j]
         rows = known.any(axis=1)
         rows[: len(ROWS)] = known[range(len(ROWS)), self.layout.main]
         self._before = rows[:, None, None] / self._unit_time

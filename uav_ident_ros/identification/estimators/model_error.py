@@ -28,7 +28,7 @@ from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
 from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME, ROUNDING, SURE
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
-ACQUITTED = 0.5 * DOUBTLESS
+CLEARED = 0.5 * DOUBTLESS
 """Value over sigma below which what was found is taken back: between the two no look is new."""
 
 LOADING = 1e-4
@@ -46,16 +46,16 @@ _SATURATION, _LATENESS, _ATTENUATION = range(EXTRA)
 _BESIDE_LATENESS = (_SATURATION, _ATTENUATION)
 
 
-def sigma_beside(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
+def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
     """Return standard deviations without what a model error, relative to the value, has in them."""
     return np.asarray(np.sqrt(np.maximum(sigma**2 - (share * value) ** 2, 0.0)))
 
 
-def known_beside(
+def known_without_error(
     sigma: FloatArray, value: FloatArray, share: FloatArray, t_ratio: float = SURE
 ) -> BoolArray:
     """Return what is known to more than so many sigma, model errors apart."""
-    return np.asarray(np.abs(value) > t_ratio * sigma_beside(sigma, value, share))
+    return np.asarray(np.abs(value) > t_ratio * sigma_without_error(sigma, value, share))
 
 
 class ModelError:
@@ -82,7 +82,7 @@ class ModelError:
         # Of the accelerometer above where it is said to be, m; 0 where it is no more than chance
         self.height = 0.0
 
-    def doubt(self, known: BoolArray) -> FloatArray:
+    def relative_error(self, known: BoolArray) -> FloatArray:
         """Return `share`, (3,), or what comes early in any of the rows `known`, if that is more.
 
         Delay and lag are one setting for all inputs, and nothing but they makes one look early that
@@ -160,17 +160,21 @@ class ModelError:
         count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
         if count <= k:
             return  # as many coefficients leave no scatter to judge by
-        found, size, told = self._found(slice(count), _BESIDE_LATENESS, self._sure, ratio, effect)
-        moments = told[: len(ROWS)]
-        if told[len(ROWS) :].all():
+        found, size, informative = self._found(
+            slice(count), _BESIDE_LATENESS, self._sure, ratio, effect
+        )
+        moments = informative[: len(ROWS)]
+        if informative[len(ROWS) :].all():
             self.height = float(size[len(ROWS) :, 0, 1].sum())
         # saturation, lateness beside it, and attenuation
         taken = found[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
         self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
-            found, _, told = self._found(newest, (_SATURATION,), self._sure_early, ratio, effect)
-            moments = told[: len(ROWS)]
+            found, _, informative = self._found(
+                newest, (_SATURATION,), self._sure_early, ratio, effect
+            )
+            moments = informative[: len(ROWS)]
         early = np.clip(-found[: len(ROWS), 0, 1], 0.0, 1.0)
         self._early = np.where(moments, early, self._early)
 
@@ -207,24 +211,24 @@ class ModelError:
         shares = moved / np.maximum(moved.sum(axis=1, keepdims=True), POWERLESS)
         effective = shares.sum(axis=1) / np.maximum(np.square(shares).sum(axis=1), ROUNDING)
         made = k - own + 1  # by the input: itself, and those added
-        tells = effective > made
-        lost = np.maximum(k / (count - k), made / np.where(tells, effective - made, 1.0))
+        informative = effective > made
+        lost = np.maximum(k / (count - k), made / np.where(informative, effective - made, 1.0))
         variance = (1.0 + lost[:, None, None]) * np.add.reduce(scatter**2, axis=2)
         # An input that answers looks late, but not as if it stopped short.
         answers = ratio * np.add.reduce(self._squares[:, blocks], axis=1)
-        looks = np.array([(other != _SATURATION, True) for other in others])
+        late = np.array([(other != _SATURATION, True) for other in others])
         spread = np.add.reduce(gain @ instruments * gain, axis=-1)
-        variance += answers[:, None, None] * looks * spread
+        variance += answers[:, None, None] * late * spread
         # What the input does by itself this regression, without a prior, does not know where a loop
         # moves it as the flow goes, or about one large deflection, as another speed asks for.
         extra, whole = linear[..., -2:], linear[range(len(zf)), :, self._entries][..., None]
         main = scale[range(len(ROWS)), :, self._entries[: len(ROWS)]]
         whole[: len(ROWS), :, 0] = effect[:, None] / main
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
-        least = np.where(sure, ACQUITTED, DOUBTLESS)
-        sure[tells] = (extra**2 > least**2 * variance)[tells]
+        least = np.where(sure, CLEARED, DOUBTLESS)
+        sure[informative] = (extra**2 > least**2 * variance)[informative]
         found, size = np.where(sure, away, 0.0), np.where(sure, extra * scale[..., -2:], 0.0)
-        return found, size, tells
+        return found, size, informative
 
 
 def _solved(

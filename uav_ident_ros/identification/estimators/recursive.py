@@ -13,11 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.beside import Beside
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information, Solution
-from uav_ident_ros.identification.estimators.model_error import ModelError, known_beside
+from uav_ident_ros.identification.estimators.model_error import ModelError, known_without_error
+from uav_ident_ros.identification.estimators.second import SecondEstimator
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
@@ -78,17 +78,17 @@ class RecursiveRegression:
         # What the flight alone tells, where something else was told, too. That is withdrawn where
         # it contradicts it; whether inputs answer disturbances is judged by its residuals, since
         # those of a wrong model follow the inputs.
-        self._alone: Beside[RecursiveRegression] | None = None
-        if start.told(self._structure).any():
-            doubted = start.doubted(self._structure)
-            blank = RecursiveRegression(doubted, settings, instrumental=instrumental)
-            self._alone, self._feedback = Beside(blank, self._layout), blank._feedback
+        self._reference: SecondEstimator[RecursiveRegression] | None = None
+        if start.informative(self._structure).any():
+            weak = start.weakened(self._structure)
+            blank = RecursiveRegression(weak, settings, instrumental=instrumental)
+            self._reference, self._feedback = SecondEstimator(blank, self._layout), blank._feedback
         self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
         self._injected = self._ever_injected = False
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
-        self.contradicted: list[tuple[int, int]] = []
+        self.rejected: list[tuple[int, int]] = []
         self.information = Information(
             self._structure,
             self._layout,
@@ -122,10 +122,10 @@ class RecursiveRegression:
     @start.setter
     def start(self, start: Start) -> None:
         self._start = self.information.start = start
-        inputs_known = start.known_before(self._structure)[: len(ROWS), INPUT_COLUMNS]
+        inputs_known = start.known_a_priori(self._structure)[: len(ROWS), INPUT_COLUMNS]
         self._known_before = inputs_known.any(axis=1)
-        if self._alone:
-            self._alone.estimator.start = start.doubted(self._structure)
+        if self._reference:
+            self._reference.estimator.start = start.weakened(self._structure)
         self.coefficients = np.where(start.free, self.coefficients, start.values)
         self.sigma = np.where(start.free, self.sigma, start.sigma)
 
@@ -137,7 +137,7 @@ class RecursiveRegression:
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
         """Add samples and solve."""
-        alone_has_learned = self._alone is not None and self._alone.add(samples, weight)
+        reference_has_learned = self._reference is not None and self._reference.add(samples, weight)
         moments = rows.residual[: len(ROWS)].T
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.clear, self.learning = self._gate.clear, self._gate.learning & (weight > 0.0)
@@ -154,7 +154,7 @@ class RecursiveRegression:
         if samples.injected:
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
-        elif not self._alone:
+        elif not self._reference:
             known = np.abs(self._known[0].values[1][MAIN_DERIVATIVES])  # whitened
             self._feedback.add(samples, moments, weight, known)
         if not samples.injected:
@@ -169,15 +169,15 @@ class RecursiveRegression:
         # In quiet flight gusts and an autopilot's answers are all there is to look at.
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
-        self.model_error = self._error.doubt(self._known_inputs())
+        self.model_error = self._error.relative_error(self._known_inputs())
         self.height = self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
         answering = None if samples.injected else self._feedback.answering
         self.information.add(parts, weight, answering)
         self._follow_changes(samples)
-        if self._alone and alone_has_learned:
-            self._withdraw(self._alone.estimator)
+        if self._reference and reference_has_learned:
+            self._reject_priors(self._reference.estimator)
         self._since_sigma += samples.time
         self._solve(0.5 * samples.dt)
 
@@ -195,7 +195,7 @@ class RecursiveRegression:
     def _known_inputs(self) -> BoolArray:
         """Return of which rows the main input's effect is known, model errors apart, (3,)."""
         value, sigma = self.coefficients[MAIN_DERIVATIVES], self._settled_sigma[MAIN_DERIVATIVES]
-        return known_beside(sigma, value, self._error.share)
+        return known_without_error(sigma, value, self._error.share)
 
     def _influence(self, samples: Regression) -> float:
         """Factor of the instruments of injected samples, 0 ... 1.
@@ -261,7 +261,7 @@ class RecursiveRegression:
 
     # -- what was told -----------------------------------------------------------------------
 
-    def _contradicted(self, alone: RecursiveRegression) -> BoolArray:
+    def _rejected_priors(self, reference: RecursiveRegression) -> BoolArray:
         """Return which coefficients the flight alone contradicts, as told, shape (R, n).
 
         A conflict of prior and data (Evans and Moshonov 2006), by the sigma of an estimate that
@@ -269,48 +269,48 @@ class RecursiveRegression:
         main control derivatives that sigma is right from the first seconds on.
         """
         start = self._start
-        off = np.abs(alone.coefficients - start.values)
-        sure = off > DOUBTLESS * np.hypot(alone.sigma, start.sigma)
-        clear = self._row_weights(1.0 * alone.clear) > 0.0
-        rows = clear & (alone.information.time >= START_TIME)
+        off = np.abs(reference.coefficients - start.values)
+        sure = off > DOUBTLESS * np.hypot(reference.sigma, start.sigma)
+        clear = self._row_weights(1.0 * reference.clear) > 0.0
+        rows = clear & (reference.information.time >= START_TIME)
         i, j = self._layout.place[self._layout.used & rows[:, None]].T
         seen = np.zeros_like(sure)
         seen[i, j] = True
-        seen[MAIN_DERIVATIVES] = alone.clear
-        return np.asarray(seen & sure & start.told(self._structure))
+        seen[MAIN_DERIVATIVES] = reference.clear
+        return np.asarray(seen & sure & start.informative(self._structure))
 
-    def _withdraw(self, alone: RecursiveRegression) -> None:
+    def _reject_priors(self, reference: RecursiveRegression) -> None:
         """Withdraw what was told of contradicted coefficients.
 
         Of rows whose main control derivative is among them nothing told is left: they go on with
         what the flight alone tells, since their own residuals are those of a wrong model.
         """
-        if not (against := self._contradicted(alone)).any():
+        if not (against := self._rejected_priors(reference)).any():
             return
         for row in np.flatnonzero(against[MAIN_DERIVATIVES]).tolist():
             against[row] = True
-            self.information.set_row(row, alone.information.sums_of())
-            self.information.variance[:, row] = alone.information.variance[:, row]
+            self.information.set_row(row, reference.information.sums_of())
+            self.information.variance[:, row] = reference.information.variance[:, row]
             self._error.forget(row)
             self._begin_changes()
-            self.contradicted.append((row, int(MAIN_COLUMNS[row])))
-        self.changes += self.contradicted
-        self.start = self._start.doubted(self._structure, against)
+            self.rejected.append((row, int(MAIN_COLUMNS[row])))
+        self.changes += self.rejected
+        self.start = self._start.weakened(self._structure, against)
         self._since_sigma = np.inf
-        if not self._start.told(self._structure).any():
-            self._alone = None
+        if not self._start.informative(self._structure).any():
+            self._reference = None
 
     def reconfigure(self, settings: Settings) -> None:
         """Take over the settings that may change in flight."""
-        if self._alone:
-            self._alone.estimator.reconfigure(settings)
+        if self._reference:
+            self._reference.estimator.reconfigure(settings)
         self.information.forgetting_time = settings.forgetting_time
         self._gate.settings = settings.supervision
 
     def forget(self, weight: float) -> None:
         """Let all that was learned so far count for `weight` of what it did."""
-        if self._alone:
-            self._alone.estimator.forget(weight)
+        if self._reference:
+            self._reference.estimator.forget(weight)
         self.information.discount(weight)
         self._error = ModelError(self._layout)
         self._begin_changes()
@@ -319,7 +319,7 @@ class RecursiveRegression:
 
     def _follow_changes(self, samples: Regression) -> None:
         """Release what has changed."""
-        self.changes, self.contradicted = [], []
+        self.changes, self.rejected = [], []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
             sigma = self._settled_sigma[: len(ROWS), INPUT_COLUMNS]
@@ -375,6 +375,6 @@ class RecursiveRegression:
         sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
         after = RowSamples.of(samples, self.residual(samples), self._layout)
         # The other parts follow by themselves.
-        alone = 1.0 * (np.arange(self._layout.rows) == row)
-        sums[:1].add(information.instrumented(after), alone)
+        only = 1.0 * (np.arange(self._layout.rows) == row)
+        sums[:1].add(information.instrumented(after), only)
         information.set_row(row, sums)

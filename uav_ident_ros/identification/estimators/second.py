@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.model_error import known_beside
+from uav_ident_ros.identification.estimators.model_error import known_without_error
 from uav_ident_ros.identification.regression import Layout, Regression, RowSamples
 from uav_ident_ros.identification.residuals import NoiseModel
 from uav_ident_ros.identification.scales import INDEPENDENT_TIME, SURE
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 E = TypeVar("E", bound="Estimator")
 
 
-class Beside(Generic[E]):
+class SecondEstimator(Generic[E]):
     """An estimator that learns from now on.
 
     It learns `INDEPENDENT_TIME` at once: an update costs the same for few samples as for many.
@@ -80,5 +80,5 @@ def known_inputs(estimator: Estimator, t_ratio: float = SURE) -> BoolArray:
     A servo lag that nobody has told is no other aircraft.
     """
     value, sigma = estimator.coefficients[MAIN_DERIVATIVES], estimator.sigma[MAIN_DERIVATIVES]
-    known = known_beside(sigma, value, estimator.model_error, t_ratio)
+    known = known_without_error(sigma, value, estimator.model_error, t_ratio)
     return np.asarray((sigma > 0.0) & known)
