@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the identifier returns, and what it can start from."""
+"""Results of the identifier, and saved coefficients."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class CoefficientSet:
     values : (R, n) array
         A, SI units, body axes FRD; zero where the structure has no coefficient.
     sigma : (R, n) array
-        Standard deviations; 0 for what is known or absent.
+        Standard deviations; 0 for fixed and absent coefficients.
     t_ns : int
         Message time at which they were valid, nanoseconds; 0 if unknown.
     """
@@ -42,8 +42,8 @@ class Estimate:
     coefficients : (R, n) array
         A_m, SI units, body axes FRD.
     sigma : (R, n) array
-        One standard deviation of each coefficient; 0 for the fixed ones; that of the prior
-        where nothing is known yet.
+        Standard deviation of each coefficient; 0 for the fixed ones; that of the prior before there
+        is information.
     predicted_rates : (3,) array
         State x_m of the identified model at the tick, rad/s, in the Imu's own axes.
     prediction_error : (3,) array
@@ -55,7 +55,7 @@ class Estimate:
     usable : bool
         Whether a controller may act on the coefficients of all moment rows.
     usable_rows : (3,) tuple of bool
-        Whether it may act on those of pdot, qdot, rdot.
+        The same for each of the rows pdot, qdot, rdot.
     state : str
         One word: ``waiting``, ``learning``, ``converged``, ``paused`` or ``fault``.
     reason : str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known before the flight: initial values, their uncertainty, and what is fixed."""
+"""Prior knowledge: initial coefficients, their standard deviations, and the fixed coefficients."""
 
 from __future__ import annotations
 
@@ -35,55 +35,56 @@ PRODUCT_SIGMA = 1.0
 body lie within -1 ... 1."""
 
 RATE_SIGMA = 30.0
-"""Prior standard deviation of what is unknown: of damping, 1/s, and of the constant, rad/s^2.
-Several times what aircraft have: a second of excitation outweighs it, and until then it keeps noise
-from looking like coefficients of millions."""
+"""Prior standard deviation of unknown damping, 1/s, and of the constant, rad/s^2. It is several
+times the values of aircraft. A second of excitation outweighs it; until then it keeps noise from
+appearing as coefficients of millions."""
 
 INPUT_SIGMA = RATE_SIGMA**2
-"""That of control derivatives, 1/s^2 per unit: so fast a motion is so stiff, and a surface does no
-more than all the rest."""
+"""Prior standard deviation of control derivatives, 1/s^2 per unit: the stiffness of a motion as
+fast as `RATE_SIGMA`."""
 
 STATIC_SIGMA = 300.0
-"""That of the moments of sideslip and angle of attack, rad/s^2 per rad. Three times as much lets
-feedback into them: errors within a sigma fall from 68 to 62 % (false_usable.py, feedback)."""
+"""Prior standard deviation of the moments of sideslip and angle of attack, rad/s^2 per rad. Three
+times as much lets feedback into them: errors within a sigma fall from 68 to 62 % (false_usable.py,
+feedback)."""
 
 SIDE_FORCE_SLOPE, LIFT_SLOPE = -15.0, -100.0
-"""Where `ay/beta` and `az/alpha` start, m/s^2 per rad, with a standard deviation of the same size.
-In level flight lift is weight, so that ``az/alpha = -g C_La / C_L`` whatever the aircraft's size:
-C_La is 4 to 6 per rad and C_L 0.2 to 0.8; the side force of fuselage and fin is a sixth of it."""
+"""Initial `ay/beta` and `az/alpha`, m/s^2 per rad, with a standard deviation of the same size. In
+level flight lift equals weight: ``az/alpha = -g C_La / C_L`` whatever the aircraft's size. C_La is
+4 to 6 per rad, C_L 0.2 to 0.8. Fuselage and fin make a sixth of this as side force."""
 
 LARGEST_LIFT_ANGLE = 0.4
-"""Angle of attack from that without lift, rad, at which every wing has stalled. Level flight needs
-less: ``az/alpha`` is beyond ``-g / 0.4``. Where the elevator rests in calm air nothing else holds
-it, and angles of a radian turned sideslip into roll (``p alpha``)."""
+"""Angle of attack, relative to zero lift, at which every wing has stalled, rad. Level flight needs
+less, so ``az/alpha`` is beyond ``-g / 0.4``. Where the elevator rests in calm air, no other
+information bounds it: angles of a radian turned sideslip into roll (``p alpha``)."""
 
 FORCE_SIGMA = INPUT_SIGMA / abs(LIFT_SLOPE)
-"""Prior standard deviation of the moments that go with specific forces, rad/s^2 per m/s^2."""
+"""Prior standard deviation of the coefficients of specific forces in moment rows, rad/s^2 per
+m/s^2."""
 
 SURFACE_SHARE = {"ay": 0.6, "az": 0.15}
 """Prior standard deviations of the forces of rudder and elevator per rad, relative to the slopes of
-sideslip and angle of attack: a rudder turns two thirds of the fin that makes most of the side
-force, an elevator half of a tail that makes a fifth of the lift. Inputs in other units than rad do
-less per unit."""
+sideslip and angle of attack. A rudder turns two thirds of the fin, which makes most of the side
+force; an elevator half of the tail, which makes a fifth of the lift. Inputs in other units than rad
+have less effect per unit."""
 
 KINEMATIC_SIGMA = 0.2
-"""Prior standard deviation of what the kinematics of the flow angles miss. Of the constants, rad/s:
-a bias of the accelerometer of a tenth of gravity at 5 m/s. Of ``betadot/p``, rad: the angle between
-the roll axis and the flow without lift."""
+"""Prior standard deviation of the errors of the flow angles' kinematics. Constants, rad/s: an
+accelerometer bias of a tenth of gravity at 5 m/s. ``betadot/p``, rad: the angle between the roll
+axis and the flow without lift."""
 
 TAIL_TIME = 0.1
-"""Prior standard deviation of ``ay/p`` and ``ay/r`` relative to ``ay/beta``, s: a rate of turn
-changes the sideslip of the fin by its arm over the airspeed."""
+"""Prior standard deviation of ``ay/p`` and ``ay/r`` relative to ``ay/beta``, s: a rate changes the
+fin's sideslip by the fin's arm over the airspeed."""
 
 RESUMED_CHANGE = 0.2
-"""Change of a coefficient between two flights that is nothing unusual, relative to its value:
-other load, air density, battery, a repair. The prior is never forgotten, so it must not claim
-more than this."""
+"""Usual change of a coefficient between two flights, relative to its value: load, air density,
+battery, a repair. The prior is never discounted, so it must not be narrower than this."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where an estimator starts.
+    """Initial coefficients and prior of an estimator.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ class Start:
     sigma : (R, n) array
         Their standard deviations; 0 where not free.
     free : (R, n) bool array
-        Coefficients that move.
+        Coefficients that are estimated.
     """
 
     values: FloatArray
@@ -107,10 +108,10 @@ class Start:
         return precision
 
     def known_a_priori(self, structure: Structure) -> BoolArray:
-        """Coefficients of which something was known before the flight, shape (R, n).
+        """Return flags of the coefficients known before the flight, shape (R, n).
 
-        Of the force rows something is known of any aircraft: lift is weight, and how much of it
-        surfaces and fins make. Of the others, only what somebody has told or a flight before.
+        In the force rows these are all: lift equals weight on every aircraft, and surfaces and fins
+        make known shares of it. In other rows these are the coefficients with an informative prior.
         """
         known = self.informative(structure)
         forces = [flow.force for flow in structure.flow]
@@ -118,26 +119,26 @@ class Start:
         return known
 
     def informative(self, structure: Structure) -> BoolArray:
-        """Coefficients that somebody has told, or a flight before, shape (R, n)."""
+        """Return flags of the coefficients with an informative prior, of a file, shape (R, n)."""
         return np.asarray(self.free & (self.sigma < weak_sigma(structure)))
 
     def weakened(self, structure: Structure, which: BoolArray | None = None) -> Start:
-        """Return the start without what was told of some coefficients (R, n), of all if left out.
+        """Return the start with the weak prior for some coefficients (R, n); by default for all.
 
-        Their values are a place to start from, no more.
+        The initial values stay.
         """
         weak = self.informative(structure) if which is None else self.informative(structure) & which
         return replace(self, sigma=np.where(weak, weak_sigma(structure), self.sigma))
 
     def inputs_known(self, t_ratio: float) -> bool:
-        """Whether each moment row starts with a control derivative of so many sigmas."""
+        """Whether each moment row starts with a control derivative of at least this t-ratio."""
         moments = np.s_[: len(ROWS), INPUT_COLUMNS]
         size = np.abs(self.values[moments])
         return bool(((size > 0.0) & (size >= t_ratio * self.sigma[moments])).any(axis=1).all())
 
 
 def first_values(structure: Structure) -> FloatArray:
-    """Values of unknown coefficients, shape (R, n), SI: zero but for the slopes of the forces."""
+    """Return initial values of unknown coefficients, (R, n), SI: zero except the force slopes."""
     values = np.zeros(structure.mask.shape)
     for flow, slope in zip(structure.flow, (SIDE_FORCE_SLOPE, LIFT_SLOPE), strict=False):
         values[flow.force, flow.angle] = slope
@@ -145,10 +146,10 @@ def first_values(structure: Structure) -> FloatArray:
 
 
 def slope_bounds(structure: Structure) -> FloatArray:
-    """Largest values of the coefficients, shape (R, n): a force opposes its flow angle.
+    """Upper bounds of the coefficients, shape (R, n): a force opposes its flow angle.
 
-    What is divided by must not vanish: a tenth of where the side force starts is less than any
-    aircraft has, and lift holds it in level flight.
+    The slopes are denominators and must not vanish. A tenth of the initial side-force slope is less
+    than any aircraft has. Lift holds the aircraft in level flight.
     """
     bounds = np.full(structure.mask.shape, np.inf)
     largest = 0.1 * SIDE_FORCE_SLOPE, -GRAVITY / LARGEST_LIFT_ANGLE
@@ -158,11 +159,11 @@ def slope_bounds(structure: Structure) -> FloatArray:
 
 
 def physical_bounds(structure: Structure, free: BoolArray) -> FloatArray:
-    """Largest values that an aircraft has, shape (R, n): its forces and rates damp themselves.
+    """Upper bounds by physics, shape (R, n): forces and rates damp themselves.
 
-    With positive damping, as late inputs or an autopilot's answers feign it, a model grows by e in
-    a fraction of a second. Beside a measured force, if `free` (R, n) has one, nothing is known of
-    it: the force has a share of the damping.
+    Late inputs or an autopilot's feedback bias the damping. With positive damping a model grows by
+    e in a fraction of a second. A row with a free measured force, by `free` (R, n), has no bound on
+    its damping: the force carries a share of it.
     """
     bounds = slope_bounds(structure)
     shared = free[: len(ROWS), LAST_COLUMNS].any(axis=1) & structure.has_forces
@@ -194,9 +195,9 @@ def weak_sigma(structure: Structure) -> FloatArray:
 
 
 def without_flow(start: Start, structure: Structure) -> Start:
-    """Return the start of an aircraft without an accelerometer: its flow is not observed.
+    """Return the start for an aircraft without an accelerometer, whose flow is not observed.
 
-    No moment depends on the flow angles then, and what makes the forces stays unknown.
+    No moment then depends on the flow angles, and the force rows stay at their initial values.
     """
     moments = np.s_[: len(ROWS), LAST_COLUMNS]
     values, sigma, free = start.values.copy(), start.sigma.copy(), start.free.copy()
@@ -207,11 +208,11 @@ def without_flow(start: Start, structure: Structure) -> Start:
 
 
 def resumed(saved: CoefficientSet) -> CoefficientSet:
-    """Coefficients of an earlier flight as the start of the next: the values, trusted less.
+    """Return the coefficients of an earlier flight as a prior, with larger standard deviations.
 
-    The sigma of the file holds for the flight that it was learned in: another one is sure to lie
-    within `SURE` of it. To that comes a change by `RESUMED_CHANGE` between the flights. So a
-    t-ratio is never above five at the start, and a second of excitation outweighs what was saved.
+    The sigma of the file holds for its own flight: `SURE` times it covers another one.
+    `RESUMED_CHANGE` between the flights is added. The t-ratio at the start is thus at most five,
+    and a second of excitation outweighs the file.
     """
     change = RESUMED_CHANGE * np.abs(saved.values)
     sigma = np.where(saved.sigma > 0.0, np.hypot(SURE * saved.sigma, change), 0.0)
@@ -219,14 +220,14 @@ def resumed(saved: CoefficientSet) -> CoefficientSet:
 
 
 def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Start:
-    """Gather the prior knowledge.
+    """Collect the prior information.
 
     Parameters
     ----------
     settings : Settings
         Initial values, fixed coefficients, known inertias.
     initial : CoefficientSet, optional
-        Coefficients from a file; they win over the values in the settings.
+        Coefficients from a file; they take precedence over the settings.
 
     Raises
     ------
@@ -252,8 +253,8 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
                 f"an initial coefficient is beyond {LARGEST_NUMBER:g}: none in SI units is",
             )
         values = np.where(structure.mask, initial.values, 0.0)
-        # Trim, balance and the biases of the sensors differ from flight to flight: the constants
-        # of another flight are a place to start from, no more.
+        # Trim, balance and sensor biases differ from flight to flight: the constants keep the weak
+        # prior.
         known = (initial.sigma > 0.0) & ~structure.constants
         sigma = np.where(known, np.minimum(initial.sigma, sigma), sigma)
     if settings.model.inertia:

@@ -1,63 +1,63 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scales of time and of chance that parts of the core share."""
+"""Time constants and statistical thresholds that modules of the core share."""
 
 from statistics import NormalDist
 
 import numpy as np
 
 STEP = 0.025
-"""Step of all integration in flight, s: a motion of 10 rad/s turns by a quarter of a radian in it,
-and straight lines between the steps are off by less than a percent."""
+"""Integration step in flight, s. A motion of 10 rad/s turns by a quarter of a radian in it; the
+error of straight lines between steps is below a percent."""
 
 SAMPLE_TIME = 2.0 * STEP
-"""Time over which filtered signals are averaged, s: the regression's filter leaves nothing quicker.
-"""
+"""Averaging time of filtered signals, s: the regression's filter removes all faster motion."""
 
 LOOK_TIME = 0.25
-"""Time between two looks at what changes slowly, s."""
+"""Interval between evaluations of slow quantities, such as sigma and change detection, s."""
 
 GUST_TIME = 0.3
-"""Time constant with which gusts come and go, s."""
+"""Correlation time of gusts, s."""
 
 INDEPENDENT_TIME = 1.0
-"""Time after which residuals count as independent, s: longer than the correlation of gusts and of
-the regression's filter."""
+"""Time between independent residuals, s: longer than the correlation of gusts and of the
+regression's filter."""
 
 RESPONSE_TIME = 2.0
-"""Time in which an aircraft answers an input, s: a few periods of the short modes."""
+"""Duration of an aircraft's response to an input, s: a few periods of the short modes."""
 
 SHORT_MEMORY = 10.0
-"""Memory of a running mean square, s: that of the residuals weighs the prior, that of the rates
-what a model may answer. In it least squares builds the first model."""
+"""Memory of running mean squares, s. That of the residuals weighs the prior, that of the rates
+limits the model's response. It is also the time of the first least-squares fit."""
 
 START_TIME = 2.0 * SHORT_MEMORY
-"""Time of learning for which the coefficients of a cold start count as poor, s: the model leaks,
-and every tick is learned from at once."""
+"""Time of learning during which the coefficients of a cold start are poor, s: the model leaks, and
+each tick updates the estimate."""
 
 MEMORY = 30.0
-"""Memory of what describes the flight of late, s: noise, fit, usual slopes."""
+"""Memory of statistics of the recent flight, s: noise, fit, usual slopes."""
 
 LONG_MEMORY = 2.0 * MEMORY
-"""Memory of what is usual, s: a flight has its calm and its lively parts within a minute."""
+"""Memory of long-term statistics, s: a minute of flight has calm and lively parts."""
 
 BLOCKS = round(LONG_MEMORY / INDEPENDENT_TIME)
-"""Blocks of a flight that are judged, the newest: the share of one in the scatter is small."""
+"""Number of newest one-second blocks that statistics use: one block is a small share of the
+scatter."""
 
 SURE = 3.0
-"""Standard deviations from which something is no chance."""
+"""Number of standard deviations that counts as significant."""
 
 DOUBTLESS = -NormalDist().inv_cdf(NormalDist().cdf(-SURE) / BLOCKS)
-"""The same, 4.1, where each of `BLOCKS` brings a new look: together they are no more often wrong
-(Bonferroni)."""
+"""The same for `BLOCKS` repeated tests, 4.1: together they have the false-alarm rate of one test at
+`SURE` (Bonferroni)."""
 
 OUTLYING = SURE**2
-"""Square, relative to its variance or mean, from which samples count less."""
+"""Square of a sample, relative to its variance or mean, from which it is an outlier."""
 
 TINY = float(np.finfo(float).tiny)
-"""Smallest number that is not nothing; added to what may be zero where it is divided by."""
+"""Smallest positive number, added to denominators that may be zero."""
 
 ROUNDING = float(np.finfo(float).eps) ** 0.5
-"""Relative size of what is nothing: far above rounding, far below all that is measured."""
+"""Relative size that counts as zero: far above rounding, far below every measurement."""
 
 IN_A_ROW = 5
-"""Samples in a row that are no chance: a gyro is saturated, a clock has jumped, inputs are lost."""
+"""Number of consecutive samples that confirm a saturated gyro, a clock jump or lost inputs."""
