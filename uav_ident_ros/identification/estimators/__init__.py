@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the coefficients move: the paper's law, least squares, the instrumental variable.
+"""Estimators of the coefficients: the paper's law, least squares, the instrumental variable.
 
-All three are the law ``Am_dot = e f^T K``: the first with a K that is chosen, the others with
-one that is computed.
+All three are the law ``Am_dot = e f^T K``. The paper's K is a setting, that of the others is
+computed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 
 class Estimator(Protocol):
-    """What moves the coefficients.
+    """Protocol of an estimator of the coefficients.
 
     Attributes
     ----------
@@ -28,14 +28,14 @@ class Estimator(Protocol):
     sigma : (R, n) array
         Standard deviations; 0 where a coefficient is not free.
     start : Start
-        Initial coefficients, their uncertainty, and which are free; it may change.
+        Initial coefficients, their standard deviations, and flags of the free ones; it may change.
     problem : str
-        What went wrong, in a sentence; empty if nothing did.
+        Failure of the estimator, in a sentence; empty if none.
     learning : (3,) bool array
-        Rows that learned at the last update; the others saw no excitation.
+        Rows that learned at the last update; the others had no excitation.
     changes, rejected : list of (row, column)
-        Coefficients that were found changed, and released, at the last update; those of them that
-        were told wrong.
+        Coefficients whose covariance the last update reset, after a change was detected; those of
+        them whose prior it rejected.
     """
 
     coefficients: FloatArray
@@ -48,27 +48,27 @@ class Estimator(Protocol):
 
     @property
     def clear(self) -> BoolArray:
-        """Rows in which the inputs stand out from all else that moves the aircraft."""
+        """Rows in which the inputs explain more of the motion than disturbances do."""
 
     @property
     def model_error(self) -> FloatArray:
-        """What the main inputs do otherwise than the model says, relative to their effect, (3,)."""
+        """Model error of the main inputs' effects, relative to the effects, (3,)."""
 
     @property
     def height(self) -> float:
-        """Height of the accelerometer above where it is said to be, m; 0 if no more than chance."""
+        """Height of the accelerometer above `imu.lever_arm`, m; 0 if not significant."""
 
     @property
     def answers(self) -> FloatArray:
-        """Share of each input that answers disturbances, shape (4,), 0 ... 1."""
+        """Share of each input that is feedback from disturbances, shape (4,), 0 ... 1."""
 
     @property
     def inputs(self) -> FloatArray:
-        """Control derivatives that go with the residuals, shape (3, 4): with measured forces."""
+        """Control derivatives at fixed measured forces, as in the residuals, shape (3, 4)."""
 
     @property
     def information(self) -> Information:
-        """What the flight has told, by which excitation and uncertainty are judged."""
+        """Information of the flight; excitation and uncertainty follow from it."""
 
     def residual(self, samples: Regression) -> FloatArray:
         """Return ``y - A f`` of m samples, shape (m, rows)."""
@@ -76,30 +76,30 @@ class Estimator(Protocol):
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
-        """Learn from samples.
+        """Update the estimate with samples.
 
         Parameters
         ----------
         samples : Regression
             m samples.
         rows : RowSamples
-            The same samples, with what each row is regressed on, and their residuals from the
-            coefficients as they are.
+            The same samples, with the regressors of each row, and the residuals of the present
+            coefficients.
         white : RowSamples
-            Those, whitened.
+            The same, whitened.
         weight : (3,) array
-            How much they count in each moment row, 0 ... 1.
+            Weight of the samples in each moment row, 0 ... 1.
         """
 
     def reconfigure(self, settings: Settings) -> None:
-        """Take over the settings that may change in flight."""
+        """Apply the settings that may change in flight."""
 
     def forget(self, weight: float) -> None:
-        """Let all that was learned so far count for `weight` of what it did, 0 ... 1."""
+        """Multiply the information so far by `weight`, 0 ... 1."""
 
 
 def make_estimator(settings: Settings, start: Start) -> Estimator:
-    """Return the estimator that the settings name."""
+    """Return the configured estimator."""
     if settings.estimator == "gradient":
         return GradientEstimator(settings, start)
     instrumental = settings.estimator == "instrumental_variable"

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Noticing that a control derivative has changed, from the residuals alone.
+"""Detection of changed control derivatives from the residuals.
 
-Forgetting cannot follow a surface that loses half its effect: fast enough for that, it lets
-everything else wander. So the residuals of the last seconds are held against one change at a time:
-of each control derivative, of the constant moment, and of a whole row, as by another inertia or
-airspeed. With unknown noise the likelihood ratio
-against "nothing changed" is (1 - E)^(-m/2) for m samples, E the share of the residual that the
-change explains (generalised likelihood ratio; Basseville and Nikiforov, Detection of Abrupt
-Changes, 1993). Residuals and regressors are whitened first, since gusts are slow.
+Forgetting cannot follow a surface that loses half its effect: fast enough for that, it lets all
+other coefficients wander. The residuals of the last seconds are therefore tested for one change at
+a time: of each control derivative, of the constant moment, and of a whole row, as by another
+inertia or airspeed. With unknown noise the likelihood ratio against "nothing changed" is
+(1-E)^(-m/2) for m samples. E is the share of the residual that the change explains (generalised
+likelihood ratio; Basseville and Nikiforov, Detection of Abrupt Changes, 1993). Residuals and
+regressors are whitened first, since gusts are slow.
 """
 
 from __future__ import annotations
@@ -40,70 +40,69 @@ from uav_ident_ros.identification.structure import (
 )
 
 WINDOW_TIME = HORIZONS[-1]
-"""Time over which residuals are looked at, s: as long as a pilot's manoeuvre."""
+"""Window of the tested residuals, s: as long as a pilot's manoeuvre."""
 
 REVERSED = 2.0
-"""Change of a control derivative whose surface is reversed, relative to its value."""
+"""Change of a reversed surface's control derivative, relative to its value."""
 
 PASSED = 6.0
-"""Time in which a step passes the regression's filter, to 2 %, times its cut-off."""
+"""Settling time of the regression's filter after a step, to 2 %, times its cut-off."""
 
 KEPT = np.exp(-LOOK_TIME / MEMORY)
-"""Share of the usual size that is kept from look to look."""
+"""Discount factor of the usual slope from one test to the next."""
 
 
 CLEARED = 0.5 * SURE
-"""Standard deviations below which what seemed to change does not any more: between the two no look
-is new."""
+"""Number of standard deviations below which an apparent change ends; up to `SURE` it stays."""
 
 
 class Change(NamedTuple):
-    """A coefficient that has changed."""
+    """A detected change of a coefficient."""
 
     row: int
-    column: int | None  # None for all that moves in the row, by one share
-    size: float  # Of a whole row relative to itself
-    after: Regression  # The samples that lie after it, or very nearly
+    column: int | None  # None for the whole row, scaled by one factor
+    size: float  # Of the coefficient; of a whole row relative to its value
+    after: Regression  # Samples after the change, very nearly
 
 
 class ChangeDetector:
-    """Watches the residuals for a changed control derivative."""
+    """Detector of changes of a row's coefficients, one at a time."""
 
     def __init__(
         self,
-        free: BoolArray,  # (3, n) Coefficients that move
+        free: BoolArray,  # (3, n) Coefficients that are estimated
         cutoff: float,  # Of the regression's filter, rad/s
     ) -> None:
         self._cutoff = cutoff
-        # Throttle acts through the propeller's speed: its column has no single true value.
+        # Throttle acts through the propeller's speed: its derivative has no single true value.
         surfaces = [label != "dth" for label in INPUTS]
         self._places = row, column = np.nonzero(free[:, INPUT_COLUMNS] & surfaces)
-        # What may change: control derivatives, and then each row as a whole
+        # Candidates: the control derivatives, then each row as a whole
         self._row = np.append(row, range(len(ROWS)))
         self._column = INPUT_COLUMNS.start + column
         self._surfaces = np.arange(len(self._row)) < len(column)
-        # Of each the control derivatives in its row
+        # Of each candidate the control derivatives of its row, (candidates, candidates)
         self._rivals = (self._row[:, None] == self._row) & self._surfaces
         self._has_constant = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
         self._window: deque[Regression] = deque()
         self._time = self._since_look = 0.0
-        # Of each: integral of the square of what it seemed to do, and of its input's
+        # Of each candidate: discounted sums of squared slope times power, and of its input's power
         self._energy = self._power = np.zeros(len(self._row))
-        # Of the looks of the last `WINDOW_TIME`: energy, power, and what was known
+        # Of the tests in the last `WINDOW_TIME`: energy, power, standard deviations
         self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
-        # By how much control derivatives seem to have changed where noise hides whether they have
+        # Apparent changes of control derivatives, (3, 4), which noise leaves undecided
         self.seeming: FloatArray = np.zeros((3, len(INPUTS)))
-        # Usual size of each when it began to seem changed; infinite if it does not
+        # Usual slope of each when its apparent change began; infinite if there is none
         self._usual_before = np.full(len(self._row), np.inf)
 
     def restart(self) -> None:
-        """Forget the window: what comes does not continue it."""
+        """Clear the window, since the next samples do not continue it."""
         self._window.clear()
         self._newest.clear()
         self._time = self._since_look = 0.0
 
     def add(self, samples: Regression) -> bool:
-        """Take new samples; say whether it is time to look at them."""
+        """Add samples; return whether a test is due."""
         if samples.restarted:
             self.restart()
         self._window.append(samples)
@@ -112,22 +111,22 @@ class ChangeDetector:
         while self._time > WINDOW_TIME:
             self._time -= self._window.popleft().time
         if self._time < WINDOW_TIME - 1.5 * samples.time or len(self._window) < 3:
-            return False  # one or two long ticks tell no slope
+            return False  # one or two long ticks determine no slope
         return self._since_look >= LOOK_TIME - 0.5 * samples.dt
 
     def look(
         self,
-        coefficients: FloatArray,  # (rows, c) The estimate: whitened, as the residuals are
-        # (3, 4) Standard deviations of its control derivatives: what is being learned has not
-        # changed. The smaller of those now and before the window count: by what a change leaves in
-        # the residuals, they grow themselves.
+        coefficients: FloatArray,  # (rows, c) The whitened estimate, as the residuals are
+        # (3, 4) Standard deviations of its control derivatives: a slope within them is learning, no
+        # change. The smaller of those now and before the window counts, since a change increases
+        # the residuals and with them the present ones.
         sigma: FloatArray,
     ) -> list[Change]:
-        """Return what has changed, one coefficient a row at most.
+        """Return the detected changes, at most one in each row.
 
-        A motor that loses thrust steps a constant moment, and the controller answers with a step of
-        its inputs, which looks like a slope. Where the step explains more, it is the constant, and
-        where a row explains clearly more than any control derivative, all of it.
+        A motor that loses thrust steps a constant moment. The controller's answer is a step of its
+        inputs, which resembles a slope. Where the step explains more, the constant has changed.
+        Where a whole row explains clearly more than each control derivative, the row has changed.
         """
         self._since_look = 0.0
         newest = self._window[-1]
@@ -139,7 +138,7 @@ class ChangeDetector:
         regressors = _whitened(moved, window.dt)
         size, power, explained, noise = _fitted(regressors, residual[:, self._row])
         known = np.append(np.abs(rows[self._places[0], self._column]), np.ones(len(ROWS)))
-        # A row is known as its main input is, and by the noise of what it makes.
+        # A row's sigma has two parts: its main derivative's, and that of its factor by the noise.
         main = MAIN_DERIVATIVES
         relative = _ratio(sigma[main[0], main[1] - INPUT_COLUMNS.start], np.abs(rows[main]))
         relative[rows[main] == 0.0] = np.inf
@@ -147,25 +146,25 @@ class ChangeDetector:
         self._newest.append((size * size * power, power, sigma))
         unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
         usual = self._usual()
-        # What is not known cannot be seen to change.
+        # A change needs a derivative that was known before.
         sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
-        # No failure changes more than a reversed surface; what a damper answers to gusts seems to.
+        # No failure exceeds a reversed surface; a damper's answers to gusts appear to.
         sure &= np.abs(size) <= REVERSED * known + SURE * unsure
-        # Something is left of a whole row, and of the sign that it had.
+        # A whole row keeps its sign and a part of its moment.
         sure &= self._surfaces | (known + size > SURE * unsure)
-        # What the residual rather owes to another input, be its effect unknown, is no change.
+        # A residual that another input explains better, even one of unknown effect, is no change.
         left = np.maximum(1.0 - explained, ROUNDING)
         rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
         owed = len(residual) * np.log(left / rivals) > OUTLYING
-        # A surface that is excited alone is nearly all of its row: it has changed, not the row.
+        # A surface excited alone makes nearly all of its row: it has changed, not the row.
         surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
         owed |= ~self._surfaces & (len(residual) * np.log(surface / left) <= DOUBTLESS**2)
-        # The slope along an input that hardly moves tells nothing.
+        # The slope along an input that hardly moves is not informative.
         informative = noise < np.hypot(unsure, usual)
         self._follow_seeming(
             np.abs(size), unsure, np.maximum(usual, noise), sure & ~owed, informative
         )
-        # More than all else together: what an autopilot answers to a storm explains up to 0.4.
+        # More than all else together: an autopilot's answers to a storm explain up to 0.4.
         explained = np.where(sure & ~owed & (explained >= 1.0 - explained), explained, 0.0)
         changes = []
         for row in sorted({*self._row[explained > 0.0].tolist()}):
@@ -180,7 +179,7 @@ class ChangeDetector:
             self.seeming[row] = 0.0
             self._usual_before[self._row == row] = np.inf
         if changes:
-            self.restart()  # to the new coefficients, the change is in what came before it
+            self.restart()  # relative to the new coefficients the window contains the change
         return changes
 
     def _follow_seeming(
@@ -191,10 +190,10 @@ class ChangeDetector:
         sure: BoolArray,
         informative: BoolArray,
     ) -> None:
-        """Follow by how much each seems to have changed, as far as its input `tells`.
+        """Update the apparent changes, (candidates,), where the slope is `informative`.
 
-        It does until its slope is no more than what was usual before: a change that lasts becomes
-        usual itself.
+        An apparent change ends when its slope is within the usual one from before it: a lasting
+        change becomes usual itself.
         """
         sure = sure & (size > SURE * np.hypot(unsure, usual))
         before = np.minimum(self._usual_before, np.where(sure, usual, np.inf))
@@ -205,10 +204,10 @@ class ChangeDetector:
         self.seeming[row[informative], column[informative]] = seeming[informative]
 
     def _usual(self) -> FloatArray:
-        """Return the usual size of what seems to change, rms: model errors come and go.
+        """Return the usual slope of each candidate, rms: model errors come and go.
 
-        Each look counts by the power of its input, since the slope along one that hardly moves is
-        noise. The newest window does not count yet: a change would become usual itself.
+        Each test is weighted by the power of its input, since the slope along a resting input is
+        noise. The newest window is excluded: a change would become usual itself.
         """
         if len(self._newest) > WINDOW_TIME / LOOK_TIME:
             energy, power, _ = self._newest.popleft()
@@ -217,10 +216,10 @@ class ChangeDetector:
         return np.sqrt(_ratio(self._energy, self._power))
 
     def _step(self, residual: FloatArray, dt: float) -> tuple[float, float, int]:
-        """Return share explained and size of the constant's step that explains most, and its end.
+        """Return the best step of the constant: share explained, size, and end.
 
-        That is the sample at which it has passed the filter, the last at the latest. Column k is
-        a step at the start of sample k + 1, as the filter passes it, at the middle of each sample.
+        The end is the sample at which the step has passed the filter, at most the last. Column k is
+        a step at the start of sample k + 1 after the filter, at the middle of each sample.
         """
         count = len(residual) + 1
         since = np.maximum(np.arange(count)[:, None] - np.arange(1, count) + 0.5, 0.0)
@@ -233,14 +232,14 @@ class ChangeDetector:
 
 
 def _whitened(signals: FloatArray, dt: float) -> FloatArray:
-    """Return signals (m, k) less what the sample `dt` s before lets expect, (m - 1, k)."""
+    """Return first-order prewhitened signals, (m, k) to (m - 1, k), of samples `dt` s apart."""
     return np.asarray(signals[1:] - np.exp(-dt / GUST_TIME) * signals[:-1])
 
 
 def _fitted(regressors: FloatArray, residual: FloatArray) -> tuple[FloatArray, ...]:
     """Return slope, power of the regressor, share explained, and standard error of the slope.
 
-    Residuals each by its own regressor, (m, k).
+    Each column of the residuals, (m, k), is fitted by its own regressor.
     """
     u = regressors - np.add.reduce(regressors) / len(regressors)
     e = residual - np.add.reduce(residual) / len(residual)

@@ -20,15 +20,15 @@ from uav_ident_ros.identification.structure import (
 )
 
 DEFAULT_GAIN = SURE / START_TIME
-"""Diagonal of K relative to the regressors' variances, 1/s: of what is wrong at a cold start a
-twentieth is left, exp(-3), when it counts as over."""
+"""Diagonal of K relative to the regressors' variances, 1/s: at the end of a cold start exp(-3), a
+twentieth, of the initial error is left."""
 
 EULER_LIMIT = 2.0
 """``dt f^T K f`` beyond which an explicit Euler step of the law overshoots and grows."""
 
 
 def gain_matrix(gains: tuple[float, ...], n: int) -> FloatArray:
-    """K from n diagonal or n*n row-major entries.
+    """Return K from n diagonal or n*n row-major entries.
 
     Raises
     ------
@@ -57,17 +57,17 @@ def gradient_step(
     y: FloatArray,  # (3,) xdot, rad/s^2
     f: FloatArray,  # (n,) Regressors
     gain: FloatArray,  # (n, n) K, symmetric positive semi-definite
-    free: BoolArray,  # (3, n) Coefficients that move
+    free: BoolArray,  # (3, n) Coefficients that are estimated
     dt: float,  # s
     *,
     guarded: bool,  # Whether to take the exact step
 ) -> tuple[FloatArray, float]:
     """Return A_m after a step of the law, with e and f held, and the largest ``dt f^T K f``.
 
-    Along a row's free columns K acts through its principal submatrix, so that it stays
-    positive semi-definite there. Guarded, the step is the exact solution
-    ``(1 - exp(-s dt)) / s`` with ``s = f^T K f``, which no gain can make overshoot; otherwise
-    it is Euler's ``dt``, which grows where ``dt f^T K f`` is beyond `EULER_LIMIT`.
+    In each row K acts through its principal submatrix of the free columns, which stays positive
+    semi-definite. The guarded step is the exact solution, ``(1 - exp(-s dt)) / s`` with
+    ``s = f^T K f``: no gain makes it overshoot. Otherwise it is Euler's ``dt``, unstable where
+    ``dt f^T K f`` exceeds `EULER_LIMIT`.
     """
     e = y - coefficients @ f
     row_f = np.where(free, f, 0.0)
@@ -83,8 +83,8 @@ def gradient_step(
 class GradientEstimator:
     """The paper's law, sample by sample; an `Estimator`.
 
-    It has no standard deviations: they are those of the instrumental variable that runs beside it,
-    widened by the distance from it.
+    The law gives no standard deviations. They are those of an instrumental variable on the same
+    samples, widened by the distance from it.
     """
 
     def __init__(self, settings: Settings, start: Start) -> None:
@@ -95,7 +95,7 @@ class GradientEstimator:
         self._guarded = law.step == "guarded"
         self.start = start
         self.learning: BoolArray = np.ones(3, dtype=bool)
-        # The law looks at none of these.
+        # The law computes none of these.
         self.model_error: FloatArray = np.zeros(3)
         self.height = 0.0
         self.answers: FloatArray = np.zeros(len(INPUTS))
@@ -113,7 +113,7 @@ class GradientEstimator:
 
     @property
     def inputs(self) -> FloatArray:
-        """Control derivatives that go with the residuals, shape (3, 4)."""
+        """Control derivatives at fixed measured forces, as in the residuals, shape (3, 4)."""
         return self.coefficients[:, INPUT_COLUMNS]
 
     def residual(self, samples: Regression) -> FloatArray:
@@ -123,9 +123,9 @@ class GradientEstimator:
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
-        """Take a step of the law with each of the samples.
+        """Step the law with each of the samples.
 
-        The law knows no weights: a row that counts at all takes the whole step.
+        The law has no weights: a row of any weight above zero takes the whole step.
         """
         self.learning = weight > 0.0
         self.information.add([rows], weight)
@@ -164,14 +164,14 @@ class GradientEstimator:
             )
 
     def reconfigure(self, settings: Settings) -> None:
-        """Take over the settings that may change in flight: none of the law's."""
+        """Apply the settings that may change in flight: the law has none."""
 
     def forget(self, weight: float) -> None:
-        """Let all that was learned so far count for `weight`; the law itself keeps no memory."""
+        """Multiply the information so far by `weight`; the law itself has no memory."""
         self.information.discount(weight)
 
     def _gain_now(self, f: FloatArray, dt: float) -> FloatArray:
-        """K in SI units at a sample."""
+        """Return K in SI units at a sample."""
         if self._normalisation == "none":
             return self._gain
         if self._normalisation == "power":
@@ -185,7 +185,7 @@ class GradientEstimator:
         return np.asarray(self._gain * np.outer(scale, scale))
 
     def _limit(self, coefficients: FloatArray) -> FloatArray:
-        """Keep the rate products physical; in SI units the paper's law is left alone."""
+        """Limit the rate products to -1 ... 1; without normalisation nothing is limited."""
         if self._normalisation != "none":
             products = coefficients[:, PRODUCT_COLUMNS]
             np.clip(products, -1.0, 1.0, out=products)

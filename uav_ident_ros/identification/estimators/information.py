@@ -2,13 +2,13 @@
 """Accumulated information, and the coefficients and standard deviations that follow from it.
 
 For each row ``R = sum z f^T``, ``S = sum z z^T``, ``r = sum z y``. With ``z = f`` the solution of
-``R a = r`` is least squares, with ``z`` the regressors of the model's own state it is the
-instrumental variable. Both are the law ``Am_dot = e f^T K`` with a gain that is computed, not
-chosen. Solved is the projected form with a prior (two-stage least squares),
+``R a = r`` is least squares. With the regressors of the model's own state as ``z`` it is the
+instrumental variable. Both are the law ``Am_dot = e f^T K`` with a computed gain. The solved
+equation is the projected form with a prior (two-stage least squares),
 
-    a = (R^T S^-1 R + P)^-1 R^T S^-1 r,
+    a = (R^T S^-1 R + P)^-1 R^T S^-1 r.
 
-which is R^-1 r where the instruments are strong, and goes to the prior where they are weak.
+It is R^-1 r where the instruments are strong, and goes to the prior where they are weak.
 """
 
 from __future__ import annotations
@@ -33,30 +33,30 @@ from uav_ident_ros.identification.scales import (
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, Structure
 
 FIRST_RESIDUAL_VARIANCE = 0.1
-"""Residual variance until there is a measured one, rad^2/s^4: filtered gyro noise."""
+"""Residual variance before the first measured one, rad^2/s^4: filtered gyro noise."""
 
 MODEL_ERROR = 0.03
-"""Error of a coefficient, relative to its value, that no residual shows: one number stands for an
-aircraft over a range of speeds and angles. After excited flights of five aircraft in calm air the
-control derivatives are off by 2.4 % rms, all dominant ones by 3.4 (benchmarks/derivatives.py)."""
+"""Error of a coefficient, relative to its value, that no residual shows: one value holds for a
+range of speeds and angles. After excited flights of five aircraft in calm air the control
+derivatives are off by 2.4 % rms, all dominant ones by 3.4 (benchmarks/derivatives.py)."""
 
 POWERLESS = TINY**0.5
-"""Power below which an instrument has none: the product of two scales is a number still."""
+"""Power below which an instrument counts as zero: the product of two scales must stay finite."""
 
 COLLINEAR_EIGENVALUE = 0.5 / DOUBTLESS**2
 """Eigenvalue of the scaled information below which its direction is unknown; 1 if all regressors
-are uncorrelated. Of two that are alike up to this the sigmas grow by `DOUBTLESS`: they correlate by
-97 %."""
+are uncorrelated. The sigmas of two regressors with this eigenvalue grow by `DOUBTLESS`: their
+correlation is 97 %."""
 
 
 _FROM_KAPPA = np.array([[1.0], [0.0]])
-"""Kappa from which what may answer by chance counts, and what answers for sure."""
+"""Least kappa of each kind of feedback: that by chance or not, and that which is significant."""
 
 
 class Sums:
-    """What was accumulated; estimates beside one another are parts.
+    """Accumulated sums of several estimates, the parts.
 
-    All of it is one table, row by row, of which the names are views.
+    All sums are in one table, row by row; the attributes are views of it.
     """
 
     def __init__(
@@ -72,28 +72,29 @@ class Sums:
         self.zy, self.zf = self.products[..., :1], self.products[..., 1 : 1 + k]
         self.zz = self.products[..., 1 + k :]
         squares = table[..., first:-2].reshape(*shape, 5, k, k)
-        # sum q z z^T, sum R^2 z z^T and the same of R^2 that is no chance, times dt: see `Feedback`
+        # sum q z z^T, sum R^2 z z^T and the same with significant R^2 only, times dt: see
+        # `Feedback`
         self.answers = squares[:, :, :3]
-        # Sum of g g^T over blocks, g the sum of z e over a block, times dt; and sum f f^T in the
-        # time with answers, times dt
+        # Sum of g g^T over blocks, g the sum of z e over a block, times dt; and sum f f^T over the
+        # time with feedback, times dt
         self.scores, self.power = squares[:, :, 3], squares[:, :, 4]
-        # Number of blocks, and time with answers, by chance or not, s
+        # Number of blocks, and time with feedback, by chance or not, s
         self.blocks, self.answer_time = table[..., -2], table[..., -1]
 
     @classmethod
     def nothing(cls, parts: int, rows: int, k: int) -> Self:
-        """Return sums of nothing."""
+        """Return empty sums."""
         return cls(np.zeros((parts, rows, k * (1 + 7 * k) + 2)), k)
 
     def __getitem__(self, parts: slice) -> Sums:
-        """Return some of the parts: views, not copies."""
+        """Return views of some of the parts."""
         return Sums(self.table[parts], self.k)
 
     def add(
         self,
         samples: RowSamples,
-        weight: FloatArray,  # (rows,) How much they count
-        # (rows, 3, k, k) What `answers` weighs each pair of instruments by, if anything answers
+        weight: FloatArray,  # (rows,) Weight of the samples
+        # (rows, 3, k, k) Weights of each pair of instruments in `answers`; None without feedback
         answering: FloatArray | None = None,
     ) -> FloatArray:
         """Add samples of all parts; return the sum of ``z e`` times dt, (parts, rows, k)."""
@@ -112,7 +113,7 @@ class Sums:
         return np.asarray(products[..., 0])
 
     def weigh(self, keep: FloatArray) -> None:
-        """Let all samples so far count for `keep` of what they did, (rows,)."""
+        """Multiply the sums so far by `keep`, (rows,)."""
         self.table *= keep[..., None]
         self.scores *= keep[..., None, None]
 
@@ -121,10 +122,10 @@ class Sums:
         row: int,
         mean: FloatArray,  # (k,) Coefficients
         covariance: FloatArray,  # (k, k)
-        free: BoolArray,  # (k,) Those that it is about
+        free: BoolArray,  # (k,) Coefficients that the covariance is of
         unit: FloatArray,  # (parts,) As `Information.unit`
     ) -> None:
-        """Let one row hold just this: a covariance reset."""
+        """Replace the sums of one row by a mean and a covariance: a covariance reset."""
         pairs = np.ix_(free, free)
         precision = np.zeros_like(covariance)
         precision[pairs] = np.linalg.inv(covariance[pairs])
@@ -133,11 +134,11 @@ class Sums:
         self.zf[:, row] = self.zz[:, row] = known
         self.zy[:, row] = (known @ mean)[..., None]
         self.scores[:, row] = unit[:, None, None] * known
-        self.blocks[:, row] = 1.0 / ROUNDING  # it owes nothing to the scatter of a few
+        self.blocks[:, row] = 1.0 / ROUNDING  # No correction for a small number of blocks
 
 
 class Solution(NamedTuple):
-    """Coefficients of some parts, and the equations that they solve.
+    """Coefficients of some parts, and the equations solved.
 
     The equations are ``(B^T S^-1 B + P) a = B^T S^-1 r`` with B = R T, row by row.
     """
@@ -145,7 +146,7 @@ class Solution(NamedTuple):
     values: FloatArray  # (parts, R, n) Coefficients of the structure
     unbounded: FloatArray  # (parts, R, n) The same without bounds
     linear: FloatArray  # (parts, rows, k) Coefficients of the regression problem
-    sums: Sums  # What they are solved from
+    sums: Sums  # Sums of the equations
     transform: FloatArray  # (rows, k, k) T, from the structure's coefficients to the linear ones
     projected: FloatArray  # (parts, rows, k, k) B^T S^-1 without the last scale
     scale: FloatArray  # (parts, rows, k, 1) Of the instruments
@@ -154,22 +155,23 @@ class Solution(NamedTuple):
 
 
 class Information:
-    """What the samples so far tell, with prior and forgetting.
+    """Information of the samples so far, with prior and forgetting.
 
     Estimates from the same samples, plain or whitened, are parts that run side by side. Those with
-    instruments begin as least squares for `SHORT_MEMORY`, since a model must be there first. That
-    start fades as slowly: it is biased, so it must go, but at once too little would be left where a
-    flight has told little yet. A row that begins anew does so for `RESPONSE_TIME`.
+    instruments begin as least squares for `SHORT_MEMORY`, since instruments need a model. The sums
+    of that start are biased and fade with the same time constant. An abrupt end would leave too
+    little information after little excitation. A row that begins anew is least squares for
+    `RESPONSE_TIME`.
     """
 
     def __init__(
         self,
         structure: Structure,
         layout: Layout,
-        start: Start,  # Initial coefficients, their uncertainty, and which are free
+        start: Start,  # Initial coefficients, their sigma, flags of the free ones
         correlation_time: float,  # Of the residuals, s: that of the regression's filter
-        forgetting_time: float = 0.0,  # Time constant, s; 0 for never; it may change at any time
-        instrumental: Sequence[bool] = (False,),  # Of each part; it is least squares if not
+        forgetting_time: float = 0.0,  # Time constant, s; 0 for none; may change at any time
+        instrumental: Sequence[bool] = (False,),  # Of each part; least squares if false
     ) -> None:
         self.layout = layout
         self.forgetting_time = forgetting_time
@@ -183,20 +185,20 @@ class Information:
         self._transform = Transform(structure, layout)
         self.start = start
         self.sums = Sums.nothing(parts, rows, k)
-        # Rows whose regressors are still their own instruments, and until when, s
+        # Rows whose regressors are still their own instruments, and the end of that time, s
         self.warming_up: BoolArray = np.full(rows, any(instrumental))
         self._warm_at: FloatArray = np.full(rows, SHORT_MEMORY)
-        # What was accumulated in that time, and which share of it is left
+        # Sums of that time, and the share of them that is left
         self._fading, self._faded = Sums.nothing(parts, rows, k), np.zeros(rows)
         # Running residual variance, (parts, rows)
         self.variance: FloatArray = np.full((parts, rows), FIRST_RESIDUAL_VARIANCE)
-        self.time: FloatArray = np.zeros(rows)  # How long each row has learned, s
+        self.time: FloatArray = np.zeros(rows)  # Time of learning of each row, s
         self._score: FloatArray = np.zeros((parts, rows, k))
         self._score_time: FloatArray = np.zeros(rows)
 
     @property
     def start(self) -> Start:
-        """Initial coefficients, their uncertainty, and which are free."""
+        """Initial coefficients, their standard deviations, and flags of the free ones."""
         return self._start
 
     @start.setter
@@ -216,7 +218,7 @@ class Information:
         self._rest = np.where(self.free, TINY, 1.0)
         self._lost = self.free.sum(axis=1)
         bounds = physical_bounds(self._structure, start.free)[self._i, self._j]
-        # One coefficient of a row at most is bounded: its rate's damping, its angle's slope.
+        # At most one coefficient of a row is bounded: its rate's damping or its angle's slope.
         self._bounded = np.nonzero(self.free & np.isfinite(bounds))
         self._room = bounds[self._bounded] - self._initial[self._bounded][:, 0]
 
@@ -226,7 +228,7 @@ class Information:
         return self.variance * self._unit_time
 
     def sums_of(self, parts: slice = slice(None)) -> Sums:
-        """Return all that was accumulated of some parts."""
+        """Return all sums of some parts."""
         return Sums(self.sums.table[parts] + self._fading.table[parts], self.sums.k)
 
     def add(
@@ -235,7 +237,7 @@ class Information:
         weight: FloatArray,
         answering: FloatArray | None = None,
     ) -> None:
-        """Add samples, those of each part, as `Sums.add`; a row of weight 0 stays as it is."""
+        """Add the samples of each part, as `Sums.add`; a row of weight 0 stays as it is."""
         if self.warming_up.any():
             self._end_warm_up(self.warming_up & (self.time.max() >= self._warm_at))
         stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
@@ -250,7 +252,7 @@ class Information:
                 self._fading.table[:] = self._faded[:] = 0.0
         score = self.sums.add(stack, weight, answering)
         residual = stack.residual
-        # What coefficients that know nothing leave is no residual.
+        # The error of coefficients without information is no residual.
         square = np.minimum(residual * residual, OUTLYING * self.variance[..., None])
         share = np.minimum(time / np.minimum(SHORT_MEMORY, self.time + INDEPENDENT_TIME), begun)
         mean = np.add.reduce(square, axis=-1) / residual.shape[-1]
@@ -263,11 +265,11 @@ class Information:
 
     @property
     def _plain(self) -> BoolArray:
-        """Where the regressors are their own instruments, (parts, rows)."""
+        """Flags of the regressors that are their own instruments, (parts, rows)."""
         return ~self._instrumental[:, None] | self.warming_up
 
     def _end_warm_up(self, rows: BoolArray) -> None:
-        """Begin with instruments in some rows; what was accumulated without them fades."""
+        """Begin with instruments in some rows; the sums without them fade."""
         self.warming_up = self.warming_up & ~rows
         self._faded[rows] = 1.0
         moved = self._instrumental[:, None] & rows
@@ -275,21 +277,21 @@ class Information:
         self.sums.table[moved] = 0.0
 
     def begin_anew(self, rows: BoolArray) -> None:
-        """Forget what some rows have told, (rows,): a clearer time begins."""
+        """Clear the information of some rows, (rows,), when an excitation begins."""
         self.sums.table[:, rows] = self._fading.table[:, rows] = 0.0
         self._score[:, rows] = self._score_time[rows] = 0.0
         self.warming_up = self.warming_up | (rows & self._instrumental.any())
         self._warm_at[rows] = self.time.max() + RESPONSE_TIME
 
     def instrumented(self, samples: RowSamples) -> RowSamples:
-        """Return samples with the instruments that the first part has now."""
+        """Return samples with the present instruments of the first part."""
         rows = RowSamples(samples.signals.copy(), samples.dt)
         plain = self._plain[0]
         rows.z[plain] = rows.f[plain]
         return rows
 
     def _close_blocks(self, full: BoolArray) -> None:
-        """Count the scores of the rows whose block is full, and forget."""
+        """Add the scores of the rows whose block is full, and apply the forgetting factor."""
         score = full[:, None] * self._score
         self.sums.scores += score[..., :, None] * score[..., None, :]
         self.sums.blocks += full
@@ -299,26 +301,26 @@ class Information:
         self._score_time[full] = 0.0
 
     def discount(self, keep: float) -> None:
-        """Let all that was accumulated be worth `keep` of what it was."""
+        """Multiply all sums by `keep`."""
         self.sums.table *= keep
         self._fading.table *= keep
 
     def set_row(self, row: int, sums: Sums) -> None:
-        """Replace all that is known in one row."""
+        """Replace all sums of one row."""
         self.sums.table[:, row] = sums.table[:, row]
         self._fading.table[:, row] = 0.0
 
     # -- solution --------------------------------------------------------------------------
 
     def solve(self, values: FloatArray, parts: slice = slice(None)) -> Solution:
-        """Solve for what differs from the start, with instruments scaled to a unit diagonal of S.
+        """Solve for the change from the start, with instruments scaled to a unit diagonal of S.
 
-        What answers disturbances is as good as a few samples, however long it lasts. In rows
-        whose control derivative was known before S counts it so (the weights of the generalised
-        method of moments; Hansen 1982): the prior counts for more, and the instrument of a
-        coefficient that it holds does not pull at the others. Elsewhere the prior only keeps
-        noise out, and counts as it is. The force rows of the coefficients before, `values` (R, n),
-        turn forces into flow angles.
+        Feedback is worth a few samples, however long it lasts. In rows with a control derivative
+        known a priori, S therefore contains the feedback (the weights of the generalised method of
+        moments; Hansen 1982). The prior then weighs more, and an instrument whose coefficient it
+        determines does not bias the others. In other rows the prior only limits noise, and S has no
+        such term. The force rows of the present coefficients, `values` (R, n), turn forces into
+        flow angles.
         """
         sums, transform = self.sums_of(parts), self._transform(values)
         weighed = sums.zz + sums.answer_time[..., None, None] * self._before * sums.answers[:, :, 0]
@@ -326,7 +328,7 @@ class Information:
         scale = (self._moves / np.sqrt(power))[..., None]
         prior = self._precision * self.unit[parts][..., None]
         instruments = weighed * (scale * scale.swapaxes(-1, -2))
-        diagonal(instruments)[...] += ROUNDING  # defined where they are collinear
+        diagonal(instruments)[...] += ROUNDING  # Regular where they are collinear
         slope = sums.zf @ transform
         target = scale * (sums.zy - slope @ self._initial)
         slope *= scale * self._pairs
@@ -346,11 +348,11 @@ class Information:
         return Solution(found, unbounded, linear, sums, transform, projected, scale, matrix, prior)
 
     def _within_bounds(self, change: FloatArray, matrix: FloatArray) -> FloatArray:
-        """Hold a coefficient that is beyond its bound there, the others as they are likely then.
+        """Hold a coefficient at its bound, and move the others to their most likely values then.
 
-        The least squares with one active bound: a step along a column of the inverse of `matrix`
-        (parts, rows, k, k). The start of the instrumental variable is biased, and its moments go on
-        as they are: what they leave unexplained is the first that is known of the noise.
+        This is least squares with one active bound: a step along a column of the inverse of
+        `matrix` (parts, rows, k, k). The least-squares start has no bound in moment rows: it is
+        biased, and its residuals give the first noise variance.
         """
         rows, entries = self._bounded
         beyond = np.fmax(change[:, rows, entries] - self._room[:, None], 0.0)
@@ -365,16 +367,15 @@ class Information:
         return held
 
     def spread(self, solution: Solution) -> tuple[FloatArray, FloatArray]:
-        """Return how well the coefficients of all parts are known.
+        """Return covariances and standard deviations of the coefficients of all parts.
 
-        ``G Omega G^T`` with Omega the sum of the outer products of the scores of one-second
-        blocks: it holds for residuals coloured within a block, where ``s^2 R^-1`` is several
-        times too small (block-mean form of Morelli and Klein 1997). The prior adds its own part,
-        and so does what answers disturbances.
+        The form is ``G Omega G^T``, with Omega the sum of the outer products of the scores of
+        one-second blocks. It holds for residuals coloured within a block, where ``s^2 R^-1`` is
+        several times too small (block-mean form of Morelli and Klein 1997). The prior and the
+        feedback add their parts.
 
-        Returned is the covariance of what is solved for, row by row, without what answers,
-        (parts, rows, k, k), and the standard deviations of the structure's coefficients,
-        (parts, R, n).
+        The covariance is that of the structure's coefficients at their entries, row by row, without
+        feedback, (parts, rows, k, k). The standard deviations, (parts, R, n), include feedback.
         """
         sums, prior = solution.sums, solution.prior
         try:
@@ -382,33 +383,34 @@ class Information:
         except np.linalg.LinAlgError:
             inverse = np.full_like(solution.matrix, np.nan)
         gain = inverse @ solution.projected * solution.scale.swapaxes(-1, -2)
-        # Few blocks: their scatter underestimates; p coefficients cost p degrees of freedom.
+        # Few blocks underestimate the scatter: p coefficients cost p degrees of freedom.
         correction = 1.0 + self._lost / np.maximum(sums.blocks - self._lost, 1.0)
         middle = sums.scores * correction[..., None, None]
         held = inverse * (prior**2 * self._prior_variance)[..., None, :]
         covariance = gain @ middle @ gain.swapaxes(-1, -2) + held @ inverse.swapaxes(-1, -2)
         variance = np.maximum(diagonal(covariance), 0.0)
         for part in range(len(variance)):
-            if part != 1:  # whitened: what is new in a gust comes before it is answered
+            if part != 1:  # Not the whitened part: an innovation precedes the feedback from it
                 variance[part] += self._answered(solution, part, gain[part])
         resolution = 1.0 - diagonal(inverse) * prior
         return covariance, self._sigma(variance, solution.linear, resolution)
 
     def _answered(self, solution: Solution, part: int, gain: FloatArray) -> FloatArray:
-        """Return by how much what answers disturbances can be off at most, squared, (rows, k).
+        """Return the largest error by feedback, squared, (rows, k).
 
-        With C of `Feedback` the errors d are at most ``d d^T = sigma_w^2 H``, ``H = G C G^T``. In
-        flight they look like ``d f``, and as much of the disturbance is missing in the residual:
-        ``sigma_w^2 = sigma_e^2 + d F d^T``, F the mean of ``f f^T``. So d is in the ellipsoid
-        ``d (H^-1 - F) d^T <= sigma_e^2``: along an eigenvector h of ``H F``, kappa its eigenvalue,
-        ``d d^T <= sigma_e^2 h h^T / (1 - kappa)``. From kappa = 1 on the error may follow the
-        disturbance and leave no residual: only what was known before bounds it. There what may
-        answer by chance counts, too.
+        With C of `Feedback` the errors d are at most ``d d^T = sigma_w^2 K``,
+        ``K = G C G^T / sigma_w^2``. They explain a part ``d f`` of the acceleration, and hide that
+        part of the disturbance from the residual: ``sigma_w^2 = sigma_e^2 + d^T F d``, F the mean
+        of ``f f^T``. So d is in the ellipsoid ``d^T (K^-1 - F) d <= sigma_e^2``: along an
+        eigenvector of ``K F`` with eigenvalue kappa, the error that K allows by ``sigma_e^2`` is
+        divided by ``1 - kappa``. From kappa = 1 on the error may follow the disturbance and leave
+        no residual. Only the prior and the distance from the start then bound it, and feedback that
+        may be chance counts, too.
         """
         sums = solution.sums
         if not sums.answers[part].any() or not np.isfinite(gain).all():
             return np.zeros(gain.shape[:2])
-        # Of H and the mean one is times the time with answers, the other over it: neither here.
+        # K contains the time with feedback as a factor, F as a divisor: neither does here.
         power = solution.transform.swapaxes(-1, -2) @ sums.power[part] @ solution.transform
         level = (self.variance[part] * sums.answer_time[part])[:, None]
         moved = solution.values[part][self._i, self._j] - self._initial[..., 0]
@@ -429,9 +431,9 @@ class Information:
     ) -> FloatArray:
         """Return the standard deviations of the structure's coefficients, (parts, R, n).
 
-        What is not free keeps that of the start. Where a flow angle is used, the uncertainty of
-        the force row that defines it adds to that of the moment, as far as the samples tell of it:
-        the `resolution` (parts, rows, k), 1 without a prior.
+        Fixed coefficients keep that of the start. The uncertainty of a force row that defines a
+        flow angle adds to that of the moment. Its factor is the `resolution` (parts, rows, k), the
+        share of the samples, 1 without a prior.
         """
         out = self._placed(variance, np.zeros_like(self._start.values))
         row, column, entry, angle, force = self._transform.by_force
@@ -440,13 +442,13 @@ class Information:
         return np.where(self._start.free, np.sqrt(out), self._start.sigma)
 
     def _placed(self, entries: FloatArray, over: FloatArray) -> FloatArray:
-        """Entries (parts, rows, k) at their places in the structure, over (R, n)."""
+        """Return `over` (R, n) with entries (parts, rows, k) at their places in the structure."""
         out = np.empty((len(entries), over.size))
         out[:] = over.ravel()
         out[:, self._places] = entries.reshape(len(out), -1).take(self._used, axis=1)
         return out.reshape(-1, *over.shape)
 
-    # -- what the flight has told, by the first part -----------------------------------------
+    # -- diagnostics of the first part ------------------------------------------------------
 
     def _correlation(self) -> FloatArray:
         """Information of the moment rows, scaled to a unit diagonal, symmetric, (3, k, k)."""
@@ -458,10 +460,10 @@ class Information:
         return np.asarray(matrix * scale[:, :, None] * scale[:, None, :])
 
     def excitation(self) -> FloatArray:
-        """How well the regressors of each moment row can be told apart, shape (3,), 0 ... 1.
+        """Return the separability of the regressors of each moment row, shape (3,), 0 ... 1.
 
-        The reciprocal of the largest variance inflation factor (Belsley, Kuh and Welsch 1980):
-        1 if all regressors are uncorrelated, 0 if one follows from the others. It does not
+        It is the reciprocal of the largest variance inflation factor (Belsley, Kuh and Welsch
+        1980): 1 if all regressors are uncorrelated, 0 if one follows from the others. It does not
         depend on their scales.
         """
         inverse = np.linalg.inv(self._correlation())
@@ -469,10 +471,10 @@ class Information:
         return np.where(self.time[:3] > 0.0, 1.0 / np.maximum(inflation, 1.0), 0.0)
 
     def collinear(self) -> list[tuple[str, ...]]:
-        """Return the names of coefficients that were not told apart, a group an entry.
+        """Return the names of collinear coefficients, a group an entry.
 
-        A small eigenvalue of the scaled information is a direction without information; the
-        columns with more than their share in its eigenvector belong together.
+        A small eigenvalue of the scaled information is a direction without information. The columns
+        with more than their share in its eigenvector are the group.
         """
         values, vectors = np.linalg.eigh(self._correlation())
         groups = []
@@ -485,9 +487,10 @@ class Information:
         return groups
 
     def correlations(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
-        """Return how the estimates of each moment row depend on one another.
+        """Return the correlations of the estimates of each moment row.
 
-        Its free regressors, m names, and the correlation of their coefficients, (m, m).
+        Each entry is the row's free regressors, m names, and the correlation of their coefficients,
+        (m, m).
         """
         found = {}
         for i, inverse in enumerate(np.linalg.inv(self._correlation())):
@@ -498,24 +501,24 @@ class Information:
         return found
 
     def _regressors(self, row: int, entries: BoolArray | NDArray[np.intp]) -> tuple[str, ...]:
-        """Names of the regressors at some entries of a row."""
+        """Return the names of the regressors at some entries of a row."""
         return tuple(self._structure.regressors[j] for j in self._j[row, entries])
 
 
 class Transform:
     """Matrices T from the structure's coefficients to the linear ones, (rows, k, k).
 
-    An angle is a force over its slope, less what else makes that force.
+    An angle is a force over its slope, less the other contributions to that force.
     """
 
     def __init__(self, structure: Structure, layout: Layout) -> None:
         rows, k = layout.rows, layout.width
         self._one: FloatArray = np.broadcast_to(np.eye(k), (rows, k, k)).copy()
-        # Places in T, and what stands there: a sign times one coefficient over another, by their
-        # places in the raveled coefficients, behind which there is a one.
+        # Places in T and their entries: a sign times one coefficient over another. The coefficients
+        # are given by their places in the raveled array, with a one appended.
         one, entries = structure.mask.size, []
-        # Entries of moment rows that are about a force: row, column of the structure, entry in the
-        # row, that of the angle, and the row of the force
+        # Entries of moment rows that depend on a force row: row, column of the structure, entry in
+        # the row, that of the angle, and the row of the force
         by_force = []
         for flow in structure.flow:
             first = flow.force * structure.size

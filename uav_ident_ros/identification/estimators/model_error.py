@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What flights show that the model has no term for: lateness, saturation, an Imu beside the centre.
+"""Model errors: lateness and saturation of the inputs, and an Imu above the centre of gravity.
 
-A servo lag or a limit of travel that nobody told leaves little in the residual: damping takes up
-most of it. So they are looked for beside all other regressors of a row, in a regression of its own,
+A servo lag or a limit of travel that is not configured leaves little in the residual, because
+damping absorbs most of it. Each row is therefore solved once more with additional regressors,
 
     y = A f + c1 u|u| + c2 du/dt - c3 d2u/dt2,
 
-with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16). Where
-c1 takes away from what the input does, it saturates; where c2 does, it acts late; where c3 does, it
-does less the quicker it moves, as with a servo lag for which a delay stands. Then the control
-derivative is off by about as much. Where c2 adds to it, it acts early: a lag or a delay was told
-that is not there, and all derivatives may be off by several times.
+with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16). A c1
+against the input's effect is saturation, such a c2 lateness. Such a c3 is an effect that falls with
+frequency, as of a servo lag in whose place a delay is in use. The control derivative is then off by
+about as much. A c2 that adds to the effect shows an input that acts early: a configured lag or
+delay is too long, and all derivatives may be off by several times.
 
 An accelerometer h above the centre of gravity measures `h pdot` as side force. In the row of ay,
 with p in the place of u, c2 is h.
@@ -29,17 +29,18 @@ from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_T
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
 CLEARED = 0.5 * DOUBTLESS
-"""Value over sigma below which what was found is taken back: between the two no look is new."""
+"""Value over sigma below which a detected error ends; up to `DOUBTLESS` the result stays."""
 
 LOADING = 1e-4
-"""Added to the information, relative to its diagonal: the input and its square are alike. A factor
-of two hardly matters: of 30 flights with inputs 80 or 120 ms later than told, the same rows are
-denied. Without it 12 of their 90 rows stay usable, and ten times as much hides a lag of 80 ms."""
+"""Added to the information, relative to its diagonal: the input and its square are collinear. A
+factor of two hardly matters: of 30 flights with inputs 80 or 120 ms later than configured, the same
+rows are denied. Without it 12 of their 90 rows stay usable, and ten times as much hides a lag of 80
+ms."""
 
 EXTRA = 3
-"""Regressors that are added.
+"""Number of additional regressors.
 
-The first and the last are looked for one at a time: all three need longer than a cold start has.
+The first and the last are tested one at a time: all three need longer than a cold start has.
 """
 
 _SATURATION, _LATENESS, _ATTENUATION = range(EXTRA)
@@ -47,51 +48,51 @@ _BESIDE_LATENESS = (_SATURATION, _ATTENUATION)
 
 
 def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
-    """Return standard deviations without what a model error, relative to the value, has in them."""
+    """Return standard deviations without the model error, `share` relative to the value."""
     return np.asarray(np.sqrt(np.maximum(sigma**2 - (share * value) ** 2, 0.0)))
 
 
 def known_without_error(
     sigma: FloatArray, value: FloatArray, share: FloatArray, t_ratio: float = SURE
 ) -> BoolArray:
-    """Return what is known to more than so many sigma, model errors apart."""
+    """Return flags of values that exceed this t-ratio, model errors excluded."""
     return np.asarray(np.abs(value) > t_ratio * sigma_without_error(sigma, value, share))
 
 
 class ModelError:
-    """Follows what the main input of each moment row does otherwise than the model says."""
+    """Model error of the main input of each moment row, and height of the accelerometer."""
 
     def __init__(self, layout: Layout) -> None:
         self._entries = [*layout.main, *layout.rolling]
-        # samples, and their weights (3,) times dt
+        # Samples, and their weights (3,) times dt
         self._gathered: list[tuple[RowSamples, FloatArray]] = []
-        # of the newest blocks, in turn, z f^T, z z^T, z y and the squared residuals, summed up
+        # Of the newest blocks, cyclically, sums of z f^T, z z^T, z y and the squared residuals
         rows, width = len(self._entries), layout.width + EXTRA
         self._zf, self._zz = (np.zeros((rows, BLOCKS, width, width)) for _ in range(2))
         self._zy, self._squares = np.zeros((rows, BLOCKS, width)), np.zeros((rows, BLOCKS))
-        self._blocks = 0  # closed so far
-        self._settled = 0  # of these, the newest, whose instruments a known model made
-        # What was found and is not taken back yet: of all blocks saturation and lateness, and
+        self._blocks = 0  # Closed so far
+        self._settled = 0  # Of these, the newest, with instruments of a known model
+        # Flags of the errors detected and not ended: of all blocks saturation and lateness, and
         # attenuation and lateness; of the newest saturation and lateness
         self._sure: BoolArray = np.zeros((rows, 2, 2), dtype=bool)
         self._sure_early: BoolArray = np.zeros((rows, 1, 2), dtype=bool)
-        # What is taken away by saturation, lateness or attenuation, whichever is most, relative to
-        # what the input does, both in rms, 1 at most; 0 where it is no more than chance
+        # Largest loss by saturation, lateness or attenuation, relative to the input's effect, both
+        # in rms, at most 1; 0 where not significant
         self.share: FloatArray = np.zeros(len(ROWS))
         self._early: FloatArray = np.zeros(len(ROWS))
-        # Of the accelerometer above where it is said to be, m; 0 where it is no more than chance
+        # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
 
     def relative_error(self, known: BoolArray) -> FloatArray:
-        """Return `share`, (3,), or what comes early in any of the rows `known`, if that is more.
+        """Return `share`, (3,), or the earliness of any of the rows `known`, (3,), if that is more.
 
-        Delay and lag are one setting for all inputs, and nothing but they makes one look early that
-        is known to do something, (3,).
+        Delay and lag are one setting for all inputs. Only a wrong setting makes an input early
+        whose effect is known.
         """
         return np.maximum(self.share, self._early.max(initial=0.0, where=known))
 
     def forget(self, row: int) -> None:
-        """Forget what a row has shown: it is learned anew."""
+        """Clear the sums of a row that is learned anew."""
         self._gathered.clear()
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
@@ -101,19 +102,19 @@ class ModelError:
     def add(
         self,
         samples: RowSamples,
-        weight: FloatArray,  # (3,) How much they count in each row
-        # (3,) q of each row's main input as `Feedback` has it: one that answers looks late
+        weight: FloatArray,  # (3,) Weight of the samples in each row
+        # (3,) q of each row's main input as in `Feedback`: feedback looks late
         ratio: FloatArray,
-        # Of what rolls the aircraft: the gust that it answers pushes sideways, too
+        # Of the aileron: the gust that it answers also pushes sideways
         roll_ratio: float,
         effect: FloatArray,  # (3,) Control derivative of each row's main input
         *,
-        restarted: bool,  # Whether the first does not continue those before
-        # Whether the model that makes the instruments is known. At the start it leaks, and gusts
-        # are in them; as soon as there are blocks enough without, those of the start go.
+        restarted: bool,  # Whether the first sample does not continue the last
+        # Whether the instruments' model is known. At the start it leaks, and gusts are in them.
+        # With enough blocks without leak, those of the start are left out.
         settled: bool = True,
     ) -> None:
-        """Take samples; they are looked at in blocks of `INDEPENDENT_TIME`."""
+        """Add samples; they are evaluated in blocks of `INDEPENDENT_TIME`."""
         if restarted or not weight.any():
             self._gathered.clear()
         if not weight.any():
@@ -125,14 +126,14 @@ class ModelError:
             self._look(np.append(ratio, roll_ratio)[: len(self._entries)], effect)
 
     def _close_block(self) -> None:
-        """Add up what was gathered."""
+        """Add the collected samples as a block."""
         parts, weights = zip(*self._gathered, strict=True)
         self._gathered.clear()
         samples = RowSamples.join(parts, sum(part.count for part in parts))
         rows = slice(len(self._entries))
         weight = np.repeat(weights, [part.count for part in parts], axis=0).T
-        weight = weight[[0, 1, 2, 0][rows]]  # a roll tells the row of ay
-        weight[:, 0] = 0.0  # its slope is not known
+        weight = weight[[0, 1, 2, 0][rows]]  # the row of ay is excited by roll
+        weight[:, 0] = 0.0  # no derivative of the first sample
         f, z = (self._extended(part[rows], samples.dt) for part in (samples.f, samples.z))
         weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
         at = self._blocks % BLOCKS
@@ -142,7 +143,7 @@ class ModelError:
         self._blocks += 1
 
     def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
-        """Regressors (rows, m, k), or instruments, with those added that each row's u makes."""
+        """Return regressors (rows, m, k), or instruments, extended by those of each row's u."""
         u = regressors[range(len(self._entries)), :, self._entries]
         extended = np.zeros((*u.shape, regressors.shape[-1] + EXTRA))
         extended[..., :-EXTRA] = regressors
@@ -153,13 +154,13 @@ class ModelError:
         return extended
 
     def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
-        """Look at all blocks, and for what comes early at those after the start, if enough.
+        """Evaluate all blocks, and earliness in those after the start, if these are enough.
 
-        A model that leaks lets gusts into the instruments, which the inputs then seem to foretell.
+        A leaking model lets gusts into the instruments, which the inputs then seem to precede.
         """
         count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
         if count <= k:
-            return  # as many coefficients leave no scatter to judge by
+            return  # too few blocks for a scatter
         found, size, informative = self._found(
             slice(count), _BESIDE_LATENESS, self._sure, ratio, effect
         )
@@ -186,12 +187,12 @@ class ModelError:
         ratio: FloatArray,
         effect: FloatArray,
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Return what extra regressors and lateness take away, their coefficients, and who tells.
+        """Return losses by the additional regressors, their coefficients, and determined rows.
 
-        The first two are (rows, others, 2), 0 where that may be chance: one of `others` and
-        lateness. Solved in units of each regressor's rms; they are compared with their own sigma,
-        and `sure` (rows, others, 2) follows. A row tells, (rows,), if its input moved in more
-        blocks than it makes regressors: fewer leave no scatter of what it does.
+        The first two are (rows, others, 2), of one of `others` and of lateness, 0 where not
+        significant. They are solved in units of each regressor's rms and compared with their sigma,
+        and `sure` (rows, others, 2) is updated. A row is determined, (rows,), if its input moved in
+        more blocks than it makes regressors: fewer leave no scatter.
         """
         zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
         count, width = zy.shape[1:]
@@ -210,17 +211,17 @@ class ModelError:
         moved = zz[range(len(zz)), :, self._entries, self._entries]
         shares = moved / np.maximum(moved.sum(axis=1, keepdims=True), POWERLESS)
         effective = shares.sum(axis=1) / np.maximum(np.square(shares).sum(axis=1), ROUNDING)
-        made = k - own + 1  # by the input: itself, and those added
+        made = k - own + 1  # Regressors of the input: itself, and the additional ones
         informative = effective > made
         lost = np.maximum(k / (count - k), made / np.where(informative, effective - made, 1.0))
         variance = (1.0 + lost[:, None, None]) * np.add.reduce(scatter**2, axis=2)
-        # An input that answers looks late, but not as if it stopped short.
+        # Feedback looks like lateness and attenuation, not like saturation.
         answers = ratio * np.add.reduce(self._squares[:, blocks], axis=1)
         late = np.array([(other != _SATURATION, True) for other in others])
         spread = np.add.reduce(gain @ instruments * gain, axis=-1)
         variance += answers[:, None, None] * late * spread
-        # What the input does by itself this regression, without a prior, does not know where a loop
-        # moves it as the flow goes, or about one large deflection, as another speed asks for.
+        # Without a prior this regression does not determine the input's own effect where a loop
+        # moves it with the flow, or about one large deflection, as at another speed.
         extra, whole = linear[..., -2:], linear[range(len(zf)), :, self._entries][..., None]
         main = scale[range(len(ROWS)), :, self._entries[: len(ROWS)]]
         whole[: len(ROWS), :, 0] = effect[:, None] / main
@@ -235,12 +236,13 @@ def _solved(
     zf: FloatArray,  # zf, zz: (rows, w, w), zy: (rows, w) Sums of all blocks
     zz: FloatArray,
     zy: FloatArray,
-    pick: FloatArray,  # (others, k, w) Takes the regressors to those that are solved for
+    pick: FloatArray,  # (others, k, w) Selects the regressors that are solved for
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the solution of rows with some of their regressors.
 
-    Their scale, one over rms and root of time, (rows, others, k); scaled by it the ``sum z z^T``
-    and what takes the ``sum z y`` to the coefficients, (rows, others, k, k), and these.
+    Returned are the scale, one over rms and root of time, (rows, others, k); the scaled
+    ``sum z z^T`` and the gain from the scaled ``sum z y``, (rows, others, k, k); and the
+    coefficients.
     """
     slope, instruments = (pick @ sums[:, None] @ pick.swapaxes(-1, -2) for sums in (zf, zz))
     power = diagonal(instruments)

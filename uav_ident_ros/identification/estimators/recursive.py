@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recursive regression: least squares, or the instrumental variable, with its guards.
+"""Recursive regression: least squares or the instrumental variable, with guards.
 
-Gyro noise and gusts are in the regressors and bias least squares. The regressors of the
-model's own state are not correlated with them, which makes them instruments (Young 2011,
-SRIVC; here in information form, for a nonlinear model, and with guards since the model runs
-while its coefficients are still poor).
+Gyro noise and gusts are in the regressors and bias least squares. The regressors of the model's own
+state are not correlated with them, which makes them instruments (Young 2011, SRIVC; here in
+information form, for a nonlinear model). Guards are needed because the model runs while its
+coefficients are still poor.
 """
 
 from __future__ import annotations
@@ -45,23 +45,22 @@ from uav_ident_ros.identification.structure import (
 class RecursiveRegression:
     """Least squares or instrumental variable, in one pass.
 
-    Rows pause in quiet flight, and a control derivative that changes is released alone. Beside it
-    runs the same estimate with the residuals whitened: where an autopilot answers gusts, and
-    nothing else moves its surfaces, the plain estimate is the autopilot's, the whitened one less
-    so; with excitation they agree. Beside least squares runs the instrumental variable, too: the
-    bias in gusts is many times what its own residuals tell. Sigma covers the distances. All of them
-    are parts of `information`: the estimate in use, the whitened one, and the reference of least
-    squares. What other members mean `Estimator` says.
+    Rows pause in quiet flight, and a change resets the covariance of one control derivative only.
+    The parts of `information` are the estimate in use, the whitened estimate, and for least squares
+    the instrumental variable. Where only an autopilot moves the surfaces, in answer to gusts, the
+    plain estimate is that of the autopilot, the whitened one less so. With excitation they agree.
+    The bias of least squares in gusts is many times its own sigma. Sigma therefore covers the
+    distances between the parts. Other members are as in `Estimator`.
 
     Parameters
     ----------
     start : Start
-        Initial coefficients, their uncertainty, and which are free.
+        Initial coefficients, their standard deviations, and flags of the free ones.
     settings : Settings
         Structure, time constant of forgetting, and the excitation that a row needs.
     instrumental : bool
-        Whether the instrumental variable gives the coefficients. If not, it only tells how
-        far least squares is biased.
+        Whether the instrumental variable gives the coefficients. If not, it only shows the bias of
+        least squares.
     """
 
     def __init__(
@@ -75,15 +74,15 @@ class RecursiveRegression:
         self._layout = layout(self._structure)
         self._error = ModelError(self._layout)
         self._feedback = Feedback(self._layout)
-        # What the flight alone tells, where something else was told, too. That is withdrawn where
-        # it contradicts it; whether inputs answer disturbances is judged by its residuals, since
-        # those of a wrong model follow the inputs.
+        # The reference estimator, without the informative prior, if there is one. A prior that
+        # contradicts it is rejected. The reference's residuals serve to find feedback, since those
+        # of a wrong model follow the inputs.
         self._reference: SecondEstimator[RecursiveRegression] | None = None
         if start.informative(self._structure).any():
             weak = start.weakened(self._structure)
             blank = RecursiveRegression(weak, settings, instrumental=instrumental)
             self._reference, self._feedback = SecondEstimator(blank, self._layout), blank._feedback
-        self._power: FloatArray = np.zeros(len(ROWS))  # mean square of the rates
+        self._power: FloatArray = np.zeros(len(ROWS))  # Mean square of the rates
         self._injected = self._ever_injected = False
         self.problem = ""
         self.learning = np.ones(3, dtype=bool)
@@ -110,13 +109,13 @@ class RecursiveRegression:
         self._solve()
 
     def _begin_changes(self) -> None:
-        """Look for changes from now on."""
+        """Restart the change detection."""
         self._detector = ChangeDetector(self._start.free[:3], self._cutoff)
         self._since_sigma = np.inf
 
     @property
     def start(self) -> Start:
-        """Initial coefficients, their uncertainty, and which are free."""
+        """Initial coefficients, their standard deviations, and flags of the free ones."""
         return self._start
 
     @start.setter
@@ -146,7 +145,7 @@ class RecursiveRegression:
         square = np.add.reduce(rates * rates) / len(rates)
         self._power += min(samples.time / SHORT_MEMORY, 1.0) * (square - self._power)
         if samples.injected and not self._injected:
-            # Samples from before it have other instruments, which answer disturbances.
+            # Earlier samples have other instruments, which contain feedback.
             self._error = ModelError(self._layout)
             if not self._ever_injected:
                 self._begin_excited()
@@ -159,14 +158,14 @@ class RecursiveRegression:
             self._feedback.add(samples, moments, weight, known)
         if not samples.injected:
             self.answers = self._feedback.share
-        # No disturbance is in what is injected.
+        # Injected signals contain no disturbance.
         answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
-        # Late or answering gusts: where nothing was known before, either is a reason to deny.
+        # An input that answers gusts looks late. Without knowledge a priori either denies the row.
         ratio, rolls = answers * self._known_before, float(answers[0])
         effect = self._linear[MAIN_DERIVATIVES]
         settled = self.information.time.max() >= START_TIME
         restarted = samples.restarted
-        # In quiet flight gusts and an autopilot's answers are all there is to look at.
+        # In quiet flight the samples contain only gusts and an autopilot's answers.
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
         self.model_error = self._error.relative_error(self._known_inputs())
@@ -182,10 +181,10 @@ class RecursiveRegression:
         self._solve(0.5 * samples.dt)
 
     def _begin_excited(self) -> None:
-        """Forget what rows of unknown effect were told before anything was injected.
+        """Clear the rows of unknown main derivative at the first injection.
 
-        An autopilot's flight biases damping towards none, and the response of such a model is a
-        poor instrument for the whole excitation. Least squares on its first seconds makes a better.
+        An autopilot's flight biases damping towards zero, and such a model's response is a poor
+        instrument for the whole excitation. Least squares over its first seconds is better.
         """
         self._ever_injected = True
         known = self._row_weights(1.0 * self._known_inputs())
@@ -193,15 +192,15 @@ class RecursiveRegression:
         self._since_sigma = np.inf
 
     def _known_inputs(self) -> BoolArray:
-        """Return of which rows the main input's effect is known, model errors apart, (3,)."""
+        """Return flags of rows with a known main derivative, model errors excluded, (3,)."""
         value, sigma = self.coefficients[MAIN_DERIVATIVES], self._settled_sigma[MAIN_DERIVATIVES]
         return known_without_error(sigma, value, self._error.share)
 
     def _influence(self, samples: Regression) -> float:
-        """Factor of the instruments of injected samples, 0 ... 1.
+        """Return the factor of the instruments of injected samples, 0 ... 1.
 
-        While coefficients are poor the response of the model may be ten times that of the aircraft,
-        and a second of it would outweigh a minute (bounded influence; Mallows 1975).
+        While coefficients are poor, the model's response may be ten times the aircraft's, and a
+        second of it would outweigh a minute (bounded influence; Mallows 1975).
         """
         response = np.square(samples.z[:, RATE_COLUMNS]).max(axis=0)
         allowed = OUTLYING * self._power
@@ -209,16 +208,16 @@ class RecursiveRegression:
         return float(1.0 / np.sqrt(max(over.max(), 1.0)))
 
     def _row_weights(self, weight: FloatArray) -> FloatArray:
-        """Weights of all rows (rows,): forces count as the moments that are learned with them."""
+        """Return weights of all rows, (rows,): a force row has that of its moments."""
         if self._layout.rows == len(weight):
             return weight
         p, q, r = weight.tolist()
         return np.array([p, q, r, max(p, r), q])
 
     def _solve(self, early: float = 0.0) -> None:
-        """Solve, unless a row makes no sense: then all starts anew where it stood.
+        """Solve; clear all information if a row diverges.
 
-        How well the coefficients are known is looked at every `LOOK_TIME`, or `early` s sooner.
+        Standard deviations follow every `LOOK_TIME`, or `early` s sooner.
         """
         due, before = self._since_sigma >= LOOK_TIME - early, self.coefficients
         solution = self.information.solve(before, slice(None) if due else slice(1))
@@ -242,10 +241,10 @@ class RecursiveRegression:
         self.coefficients = values
 
     def _sigma(self, solution: Solution, sigmas: FloatArray) -> FloatArray:
-        """Return the standard deviations to be published, from those of all parts.
+        """Return the published standard deviations, from those of all parts.
 
-        Estimates that a bound holds agree there, however far apart they are: it is what they are
-        without it that counts, and how far the bound moves them.
+        Estimates at a bound agree there, however far apart they are without it. The distances are
+        therefore those of the unbounded estimates, and the shift by the bound is added.
         """
         own, white, *reference = solution.unbounded
         sigma = sigmas[0]
@@ -259,14 +258,14 @@ class RecursiveRegression:
         sigma = np.hypot(sigma, MODEL_ERROR * own)
         return np.where(self._start.free, sigma, self._start.sigma)
 
-    # -- what was told -----------------------------------------------------------------------
+    # -- rejection of priors ----------------------------------------------------------------
 
     def _rejected_priors(self, reference: RecursiveRegression) -> BoolArray:
-        """Return which coefficients the flight alone contradicts, as told, shape (R, n).
+        """Return flags of the coefficients whose prior the reference rejects, (R, n).
 
-        A conflict of prior and data (Evans and Moshonov 2006), by the sigma of an estimate that
-        knows of feedback, and only where inputs stand out from what else moves the aircraft. Of
-        main control derivatives that sigma is right from the first seconds on.
+        The test is for a conflict of prior and data (Evans and Moshonov 2006), by a sigma that
+        includes feedback. It needs inputs that stand out from disturbances. For main control
+        derivatives that sigma is right from the first seconds on.
         """
         start = self._start
         off = np.abs(reference.coefficients - start.values)
@@ -280,10 +279,10 @@ class RecursiveRegression:
         return np.asarray(seen & sure & start.informative(self._structure))
 
     def _reject_priors(self, reference: RecursiveRegression) -> None:
-        """Withdraw what was told of contradicted coefficients.
+        """Replace rejected priors by weak ones.
 
-        Of rows whose main control derivative is among them nothing told is left: they go on with
-        what the flight alone tells, since their own residuals are those of a wrong model.
+        A row whose main control derivative is among them loses all its informative priors. It takes
+        over the sums of the reference, since its own residuals are those of a wrong model.
         """
         if not (against := self._rejected_priors(reference)).any():
             return
@@ -301,14 +300,14 @@ class RecursiveRegression:
             self._reference = None
 
     def reconfigure(self, settings: Settings) -> None:
-        """Take over the settings that may change in flight."""
+        """Apply the settings that may change in flight."""
         if self._reference:
             self._reference.estimator.reconfigure(settings)
         self.information.forgetting_time = settings.forgetting_time
         self._gate.settings = settings.supervision
 
     def forget(self, weight: float) -> None:
-        """Let all that was learned so far count for `weight` of what it did."""
+        """Multiply the information so far by `weight`."""
         if self._reference:
             self._reference.estimator.forget(weight)
         self.information.discount(weight)
@@ -318,7 +317,7 @@ class RecursiveRegression:
     # -- changes in flight -----------------------------------------------------------------
 
     def _follow_changes(self, samples: Regression) -> None:
-        """Release what has changed."""
+        """Detect changes, and reset the covariance of the coefficients that changed."""
         self.changes, self.rejected = [], []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
@@ -329,10 +328,10 @@ class RecursiveRegression:
                 self._release(change)
 
     def _release(self, change: Change) -> None:
-        """Forget what a regressor did in one row, and learn it anew from after the change.
+        """Reset a changed coefficient, and learn it from the samples after the change.
 
-        What a surface loses of its moment it loses of its force, too: a moment is whole only with
-        the force of the same surface. Of a whole row all but the ratios of inertias has moved.
+        A surface that loses a share of its moment loses that share of its force: both make up the
+        whole moment. In a whole row all coefficients but those of rate products have changed.
         """
         row, column, size = change.row, change.column, change.size
         before, columns = self._known[0].linear[1], self._layout.place[..., 1]
@@ -351,16 +350,17 @@ class RecursiveRegression:
         self._since_sigma = np.inf
 
     def _reset(self, row: int, moved: FloatArray, samples: Regression) -> None:
-        """Reset the covariance of coefficients that `moved` by so much, and learn `samples` again.
+        """Reset the covariance of coefficients that `moved`, (k,), and learn `samples` again.
 
-        Of all that was known before, the covariances of these, (k,), and of the row's constant,
-        which takes up part of any change about a trim, are set to what a change by so much allows.
+        The coefficients move by `moved`, and their variances grow by its square. The variance of
+        the row's constant grows to its prior's, since the constant takes up part of any change
+        about a trim.
         """
         information, weak = self.information, weak_sigma(self._structure)
         rows, columns = np.moveaxis(self._layout.place[row], -1, 0)
         moved = moved * information.free[row]
         at = rows[moved != 0.0], columns[moved != 0.0]
-        # Nothing from before the flight holds the coefficients where they were.
+        # No prior holds the coefficients at their former values.
         sigma = self._start.sigma.copy()
         sigma[at] = weak[at]
         self.start = replace(self._start, sigma=sigma)
@@ -374,7 +374,7 @@ class RecursiveRegression:
         sums = information.sums_of()
         sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
         after = RowSamples.of(samples, self.residual(samples), self._layout)
-        # The other parts follow by themselves.
+        # The other parts learn from the samples to come.
         only = 1.0 * (np.arange(self._layout.rows) == row)
         sums[:1].add(information.instrumented(after), only)
         information.set_row(row, sums)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An estimator that learns beside the one in use.
+"""A second estimator that learns in parallel with the one in use.
 
-A cold start that comes to nothing has one that begins anew. An aircraft that taxies, or is carried
-to its launch, moves its surfaces and does not follow them, and what has learned this holds it
-against the flight for minutes. Nobody need have told when it flies: the newest half minute alone
-then tells something where all of the time tells nothing.
+After a cold start that identifies nothing, it starts afresh. An aircraft that taxies, or is carried
+to its launch, moves its surfaces without a response. This information contradicts the flight for
+minutes. No takeoff signal is needed: the newest half minute alone then identifies a derivative
+where the whole record does not.
 
-A start from a file has one that was told nothing: what the flight alone tells.
+After a start from a file, it is the reference: an estimate without the informative prior.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ E = TypeVar("E", bound="Estimator")
 
 
 class SecondEstimator(Generic[E]):
-    """An estimator that learns from now on.
+    """An estimator that learns from its construction on.
 
-    It learns `INDEPENDENT_TIME` at once: an update costs the same for few samples as for many.
+    It learns `INDEPENDENT_TIME` at a time: the cost of an update does not depend on its samples.
 
     Parameters
     ----------
     estimator : Estimator
-        It has learned nothing yet.
+        A new one, without information.
     layout : Layout
         Its regression problem.
 
     Attributes
     ----------
     noise : NoiseModel
-        The noise that the samples have shown.
+        Noise model of the samples.
     time : float
         Time of learning, s.
     """
@@ -53,7 +53,7 @@ class SecondEstimator(Generic[E]):
         self._gathered: list[tuple[Regression, FloatArray]] = []
 
     def add(self, samples: Regression, weight: FloatArray) -> bool:
-        """Take samples, and how much they count in each row, (3,); say whether it has learned."""
+        """Add samples with their weights in the rows, (3,); return whether the estimate is new."""
         learns = bool(self._gathered) and not self._gathered[-1][0].continued_by(samples)
         if learns:
             self._learn()
@@ -64,7 +64,7 @@ class SecondEstimator(Generic[E]):
         return learns
 
     def _learn(self) -> None:
-        """Learn from what was gathered."""
+        """Update the estimator with the collected samples."""
         parts, weights = zip(*self._gathered, strict=True)
         self._gathered = []
         samples = Regression.join(parts)
@@ -75,9 +75,9 @@ class SecondEstimator(Generic[E]):
 
 
 def known_inputs(estimator: Estimator, t_ratio: float = SURE) -> BoolArray:
-    """Return which main control derivatives are known to so many sigma, model errors apart, (3,).
+    """Return which main control derivatives exceed this t-ratio, model errors excluded, (3,).
 
-    A servo lag that nobody has told is no other aircraft.
+    A servo lag that is not configured is a model error and no reason to start afresh.
     """
     value, sigma = estimator.coefficients[MAIN_DERIVATIVES], estimator.sigma[MAIN_DERIVATIVES]
     known = known_without_error(sigma, value, estimator.model_error, t_ratio)
