@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The identified model in parallel with the aircraft: what it predicts, and how well.
-
-Its states are the instruments.
-"""
+"""The identified model in parallel with the aircraft: instruments, and the running fit."""
 
 from __future__ import annotations
 
@@ -24,8 +21,8 @@ from uav_ident_ros.identification.structure import FloatArray, Structure
 class ParallelModel:
     """The identified model, run on the same inputs as the aircraft.
 
-    Its states have neither gyro noise nor gusts in them, which makes them instruments. While
-    something is injected on purpose, its response to that alone is free of feedback, too.
+    Its states contain neither gyro noise nor gusts, which makes them instruments. During injection
+    its response to the injected signals only is free of feedback, too.
     """
 
     def __init__(self, settings: Settings, structure: Structure) -> None:
@@ -41,13 +38,13 @@ class ParallelModel:
         self,
         block: Block,  # Measured signals over m cells; its flow is set
         coefficients: FloatArray,  # (R, n) A_m at the airspeed flown
-        airspeed: float | None,  # True, m/s; None where none is measured
-        leak_time: float,  # Of the pull towards the measured state, s; 0 for none
+        airspeed: float | None,  # True, m/s; None without a measurement
+        leak_time: float,  # Of the leak towards the measured state, s; 0 for none
     ) -> tuple[FloatArray, bool]:
-        """Run over a block, and observe the flow in it.
+        """Run the model over a block, and observe the flow in it.
 
-        Returned is the state at the edges, (m + 1, 3 or 8), of which instruments are made, and
-        whether it is the response to what was injected on purpose alone.
+        Returned are the state at the edges, (m + 1, 3 or 8), from which instruments follow, and
+        whether it is the response to the injected signals only.
         """
         if self.flow is not None:
             block.flow = self.flow.follow(block, coefficients, airspeed)
@@ -62,33 +59,33 @@ class ParallelModel:
         return self._response.respond(coefficients, block, leak_time), True
 
 
-# --- what is learned from at once -----------------------------------------------------------------
+# --- stretches ------------------------------------------------------------------------------------
 
 
 class Stretch(NamedTuple):
-    """Blocks that continue one another, and what the identifier made of them."""
+    """Consecutive blocks, with the identifier's results on them."""
 
     block: Block  # Measured signals over m cells
     states: FloatArray  # (m + 1, 3 or 8) State of the identified model at the edges
-    learns: bool  # Whether the gates let it be learned from
+    learns: bool  # Whether the gates are open
     readable: bool  # Whether it may be scored
-    injected: bool  # Whether the states answer what was injected on purpose alone
+    injected: bool  # Whether the states are the response to the injected signals only
     blocks: int = 1  # Number of blocks, one a tick
 
     @property
     def kind(self) -> tuple[bool, bool, bool]:
-        """What those must have alike that are joined."""
+        """Flags that must agree for blocks to be joined."""
         return self.learns, self.readable, self.injected
 
 
 class Stretches:
-    """Joins blocks to stretches."""
+    """Join of blocks to stretches."""
 
     def __init__(self) -> None:
         self._parts: list[Stretch] = []
 
     def add(self, part: Stretch, length: float) -> Iterator[Stretch]:
-        """Take a block; yield the stretches that end with it or before it, at `length` s."""
+        """Add a block; yield the stretches that end with it or before it, at `length` s."""
         if self._parts and (part.block.restarted or part.kind != self._parts[0].kind):
             yield self._ended()
         self._parts.append(part)
@@ -104,13 +101,12 @@ class Stretches:
         return Stretch(block, states, *parts[0].kind, blocks=len(parts))
 
 
-# --- how well the coefficients foretell the next second, freely -----------------------------------
+# --- running fit ----------------------------------------------------------------------------------
 
 
 FAILED_PREDICTION = 4.0
-"""Squared error, relative to the signal's own variation, at which a prediction has failed: that of
-the opposite of what was measured, a fit of -100 percent. How much further it went astray tells
-nothing more."""
+"""Squared error of a failed prediction, relative to the signal's variation: that of the negative of
+the measurement, a fit of -100 percent. A larger error counts as this one."""
 
 # The sums over samples: count, x, x^2, then squared errors.
 _SPREAD, _MODEL, _HOLD, _SAVED = slice(0, 3), 3, 4, 5
@@ -119,50 +115,49 @@ _SPREAD, _MODEL, _HOLD, _SAVED = slice(0, 3), 3, 4, 5
 class RunningFit:
     """Free 1-second prediction fit of the coefficients in use, of those saved, and of holding.
 
-    Predictions follow one another: each starts from the measured state, with the coefficients
-    of that time; nothing measured but the inputs enters after that. It is compared with every
-    sample of its second.
+    Predictions follow one another. Each starts from the measured state, with the coefficients of
+    that time, and runs on the measured inputs only. It is compared with every sample of its second.
     """
 
     def __init__(self, structure: Structure, model: IdentifiedModel) -> None:
         self._holds_force = structure.has_forces
         self._model = model
-        # Fit of p, q, r in percent, of the coefficients in use, of the rates held and of the
-        # coefficients last saved; 0 until there is one
+        # Fit of p, q, r in percent, of the coefficients in use, of the rates held, and of the saved
+        # coefficients; 0 before the first prediction
         self.fit: FloatArray = np.zeros(3)
         self.hold: FloatArray = np.zeros(3)
         self.saved: FloatArray = np.zeros(3)
         # The same over the last part of the flight so far
         self.flight_fit: FloatArray = np.zeros(3)
         self.flight_hold: FloatArray = np.zeros(3)
-        self.predictions = 0  # That have counted
+        self.predictions = 0  # Counted so far
         self._sums: FloatArray = np.zeros((6, 3))
         self._flight: FloatArray = np.zeros((6, 3))
         self.forget()
 
     def restart(self) -> None:
-        """Give up the prediction under way."""
+        """Drop the prediction under way."""
         self._parts: list[Block] = []
         self._time = 0.0
 
     def forget(self) -> None:
-        """Judge by what comes: the aircraft has changed. `fit` stays until there is a new one."""
+        """Clear the sums after a change of the aircraft; `fit` stays until the next prediction."""
         self.restart()
         self._age = 0.0
         self._sums.fill(0.0)
         self._flight.fill(0.0)
 
     def save(self) -> None:
-        """Take note that the coefficients in use are saved: so far they have one history."""
+        """Note that the coefficients in use are saved: up to now both have the same errors."""
         self._sums[_SAVED] = self._sums[_MODEL]
 
     def add(
         self,
         block: Block,
-        coefficients: FloatArray,  # (R, n) In use when the block began
+        coefficients: FloatArray,  # (R, n) In use at the start of the block
         saved: FloatArray | None,  # (R, n) Last saved
     ) -> None:
-        """Take a block of signals; once a second is full, it is predicted and counts."""
+        """Add a block of signals; evaluate the prediction of each full second."""
         if block.restarted:
             self.restart()
         if not self._parts:
@@ -174,7 +169,7 @@ class RunningFit:
             self.restart()
 
     def _count(self, second: Block) -> None:
-        """Predict a second, and count it."""
+        """Predict a second, and add its errors."""
         if self._holds_force:
             held = np.broadcast_to(second.specific_force[:1], second.specific_force.shape)
             second = replace(second, specific_force=held)
@@ -194,7 +189,7 @@ class RunningFit:
             self.saved = np.zeros(3)
 
     def _added(self, sums: FloatArray, now: FloatArray, memory: float) -> FloatArray:
-        """Return sums with those of a second, and older ones faded by `memory`, s."""
+        """Return sums with those of a second added; older ones fade with `memory`, s."""
         sums = np.exp(-self._time / memory) * sums + now
         typical = _spread(sums) * now[0] / sums[0]
         failed = FAILED_PREDICTION * np.maximum(_spread(now), typical)
@@ -203,19 +198,19 @@ class RunningFit:
         return np.asarray(sums)
 
     def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
-        """Sum of the squared errors of a prediction, shape (3,)."""
+        """Return the sum of the squared errors of a prediction, shape (3,)."""
         states = self._model.propagate(coefficients, second, second.state[0])
         return np.asarray(((second.x - bounded(states)[:, :3])[1:] ** 2).sum(axis=0))
 
 
 def _spread(sums: FloatArray) -> FloatArray:
-    """Sum of the squared deviations from the mean, shape (3,)."""
+    """Return the sum of the squared deviations from the mean, shape (3,)."""
     count, total, square = sums[_SPREAD]
     return np.asarray(np.maximum(square - total * total / count, 0.0))
 
 
 def _fit(sums: FloatArray) -> FloatArray:
-    """Fits in percent of model, holding and saved, shape (3, 3)."""
+    """Return fits in percent of model, holding and saved, shape (3, 3)."""
     errors, spread = sums[_SPREAD.stop :], _spread(sums)
     ratio = np.divide(errors, spread, out=np.ones_like(errors), where=spread > 0.0)
     return np.asarray(100.0 * (1.0 - np.sqrt(ratio)))

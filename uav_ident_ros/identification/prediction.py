@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The score of record: how well the published coefficients predict the next seconds, freely.
+"""The score of record: free prediction of the next seconds by the published coefficients.
 
-A window starts at every tick t. The model is run from the measured state at t, with the
-coefficients published by t and the measured inputs, for 1, 3 and 5 s, and is compared with every
-gyro sample of the window. Nothing else that was measured after t enters: attitude is integrated,
-forces follow from the model; a structure that has the forces as regressors holds them at their
-value at t. The fit of an axis over a set of windows is
+A window starts at every tick t. The model runs for 1, 3 and 5 s from the measured state at t, with
+the coefficients published by t and the measured inputs, and is compared with every gyro sample of
+the window. No other measurement after t enters: attitude is integrated, and forces follow from the
+model. A structure with measured forces as regressors holds them at their value at t. The fit of an
+axis over a set of windows is
 
     fit = 100 (1 - |predicted - measured| / |measured - mean|),
 
-norms and mean over all compared samples (the normalised fit of Ljung, System Identification,
-1999). Nothing is filtered. Beside it stand the fit of holding the initial rate, and that of the
-model with the specific forces as measured inside the window.
+norms and mean over all compared samples (the normalised fit of Ljung, System Identification, 1999).
+Nothing is filtered. Two other fits stand beside it: of holding the initial rate, and of the model
+with the specific forces measured inside the window.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ from uav_ident_ros.identification.structure import (
 )
 
 HORIZONS = (1.0, 3.0, 5.0)
-"""How far the model predicts, s: a controller plans over the first, a pilot over the last."""
+"""Horizons of the prediction, s: a controller plans over the first, a pilot over the last."""
 
 LARGEST_STEP_NS = 10_000_000
 """Integration step, ns: at 10 ms the Runge-Kutta error of a 20 rad/s mode is below 1e-5."""
 
 MAX_GAP = 0.2
-"""A gap in the rates longer than this, s, leaves nothing to compare with: no window spans it."""
+"""Longest gap in the rates, s: no window spans a longer one."""
 
 INPUT_TIMEOUT = 0.5
-"""An input older than this, s, is unknown: no window needs one."""
+"""Largest age of an input, s: a window with an older input is left out."""
 
 SETTLED_NS = 30_000_000_000
 """Windows that start this long after the first rates count as settled, ns."""
 
 LAST_PART = 0.4
-"""Share of the flight at its end that the first figure is over."""
+"""Share of the flight, at its end, of the first set of windows."""
 
 _FORCES = LAST_COLUMNS.start - EXOGENOUS_COLUMNS.start
 """Row of ay among de, dr, da, dth, 1, ay, az."""
@@ -80,7 +80,7 @@ class InputSignal:
     def at(self, t_ns: TimeArray) -> FloatArray:
         """Evaluate the inputs at the times `t_ns`, ns, shape (len(t_ns), 4).
 
-        Before the first sample the first is taken, after the last the last.
+        The first sample holds before it, the last after it.
         """
         acting_ns = t_ns - self.delay_ns
         last = np.maximum(np.searchsorted(self.t_ns, acting_ns, side="right") - 1, 0)
@@ -116,14 +116,14 @@ class WindowErrors:
     model: FloatArray  # (W, H, 3) Squared errors of the free prediction
     hold: FloatArray  # (W, H, 3) The same with the initial rate held
     # (W, 3) The same of the model with measured forces, over the first horizon; NaN where the
-    # structure has no use for them
+    # structure does not use them
     measured_force: FloatArray
     measured: FloatArray  # (W, H, 3) Measured rates
     measured_square: FloatArray  # (W, H, 3) Their squares
 
     @staticmethod
     def none() -> WindowErrors:
-        """Return the sums of no window at all."""
+        """Return the sums of no window."""
         no_time = np.empty(0, dtype=np.int64)
         sums = np.empty((0, len(HORIZONS), 3))
         count = np.empty((0, len(HORIZONS)), dtype=np.int64)
@@ -142,20 +142,20 @@ class PredictionFit:
 
     free: FloatArray  # (H, 3) Of the free prediction over `HORIZONS`; NaN if there is no window
     free_hold: FloatArray  # (H, 3) The same of holding the initial rate
-    # (3,) Of the model with measured forces over the first horizon; NaN where the structure has no
-    # use for them
+    # (3,) Of the model with measured forces over the first horizon; NaN where the structure does
+    # not use them
     measured_force: FloatArray
     windows: int
     samples: int  # Compared over the first horizon
 
     @property
     def model(self) -> FloatArray:
-        """The headline: the free prediction over 1 s, shape (3,)."""
+        """Fit of the free prediction over 1 s, the headline, shape (3,)."""
         return np.asarray(self.free[0])
 
     @property
     def hold(self) -> FloatArray:
-        """Holding the initial rate over 1 s, shape (3,)."""
+        """Fit of holding the initial rate over 1 s, shape (3,)."""
         return np.asarray(self.free_hold[0])
 
 
@@ -169,7 +169,7 @@ ns) to flags."""
 
 @dataclass(frozen=True)
 class Flown:
-    """What was measured, on one time base."""
+    """Measurements of a flight, on one time base."""
 
     t_ns: TimeArray  # (N,) Stamps of the gyro samples, ns, strictly rising, maybe irregular
     rates: FloatArray  # (N, 3) p, q, r, rad/s, FRD, unfiltered
@@ -180,18 +180,18 @@ class Flown:
 
 @dataclass(frozen=True)
 class Published:
-    """What was published, tick by tick."""
+    """Published coefficients and flow angles, tick by tick."""
 
     t_ns: TimeArray  # (K,) Ticks, ns, strictly rising
-    coefficients: FloatArray  # (K, R, n) SI, FRD; a prediction with one not finite has diverged
+    coefficients: FloatArray  # (K, R, n) SI, FRD; a prediction with a non-finite one has diverged
     structure: Structure
-    # (K, 6) With flow angles: these, rad; the unit vector that points down, body axes FRD; the true
-    # airspeed, m/s
+    # (K, 6) Flow angles, rad; the unit vector that points down, body axes FRD; the true airspeed,
+    # m/s. None without flow angles
     flow: FloatArray | None = None
 
     @classmethod
     def of(cls, estimates: Sequence[Estimate], structure: Structure) -> Published:
-        """Return what estimates of a structure published."""
+        """Return the published values of estimates of a structure."""
         flows = [estimate.flow for estimate in estimates if estimate.flow is not None]
         return cls(
             np.array([estimate.t_ns for estimate in estimates], dtype=np.int64),
@@ -201,7 +201,7 @@ class Published:
         )
 
     def chosen(self, which: BoolArray) -> Published:
-        """Return what was published at the chosen ticks, shape (K,)."""
+        """Return the published values at the chosen ticks, flags of shape (K,)."""
         flow = None if self.flow is None else self.flow[which]
         return Published(self.t_ns[which], self.coefficients[which], self.structure, flow)
 
@@ -215,7 +215,7 @@ def score_windows(errors: WindowErrors, first_ns: int, last_ns: int) -> dict[str
 
 
 def fit(errors: WindowErrors, chosen: BoolArray) -> PredictionFit:
-    """Fit over the `chosen` windows, shape (W,)."""
+    """Return the fit over the `chosen` windows, flags of shape (W,)."""
     count = errors.count[chosen].sum(axis=0)
     total, square = (sums[chosen].sum(axis=0) for sums in (errors.measured, errors.measured_square))
     spread = square - total**2 / np.maximum(count, 1)[:, None]
@@ -240,7 +240,7 @@ def window_errors(flown: Flown, published: Published) -> WindowErrors:
         return WindowErrors.none()
     published = published.chosen(covered)
     ticks, structure = published.t_ns, published.structure
-    # before its start where the flight does not cover a window
+    # Before its start where the flight does not cover the window
     lengths = [
         np.where(_covered(flown, ticks, horizon), round(horizon * 1e9), -1) for horizon in HORIZONS
     ]
@@ -302,7 +302,7 @@ def _covered(flown: Flown, ticks_ns: TimeArray, horizon: float) -> BoolArray:
 
 
 def _meets_gap(start: TimeArray, end: TimeArray, t_ns: TimeArray, longest_ns: int) -> BoolArray:
-    """Whether [start, end] meets an interval between stamps longer than `longest_ns`."""
+    """Return whether [start, end] meets an interval between stamps longer than `longest_ns`."""
     gaps = np.flatnonzero(np.diff(t_ns) > longest_ns)
     begun = np.searchsorted(t_ns[gaps], end, side="left")
     over = np.searchsorted(t_ns[gaps + 1], start, side="right")
@@ -310,24 +310,23 @@ def _meets_gap(start: TimeArray, end: TimeArray, t_ns: TimeArray, longest_ns: in
 
 
 def _sums(values: FloatArray, first: TimeArray, last: TimeArray) -> FloatArray:
-    """Sum the rows first (W,) to before last (W, H), shape (W, H, 3)."""
+    """Return sums of the rows first (W,) to before last (W, H), shape (W, H, 3)."""
     running = np.zeros((len(values) + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=running[1:])
     return np.asarray(running[np.maximum(last, first[:, None])] - running[first][:, None])
 
 
 def _interpolated(at_ns: TimeArray, t_ns: TimeArray, values: FloatArray) -> FloatArray:
-    """Straight lines through samples, shape (len(at_ns), width)."""
+    """Return samples interpolated by straight lines, shape (len(at_ns), width)."""
     at, t = (at_ns - t_ns[0]) * NS, (t_ns - t_ns[0]) * NS
     return np.stack([np.interp(at, t, column) for column in values.T], axis=1)
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """Everything measured, on one time grid: gyro samples, ticks, corners of the inputs.
+    """All measurements on one time grid: gyro samples, ticks, corners of the inputs.
 
-    Between two nodes all signals are smooth, so every step of the integration is too.
-    """
+    Between two nodes all signals are smooth, and so is every step of the integration."""
 
     t_ns: TimeArray  # (G,) Nodes, ns
     compared: BoolArray  # (G,) Which of them are gyro samples
@@ -375,7 +374,7 @@ def _squared_errors(
     furthest, before = ends.max(axis=1), np.searchsorted(grid.t_ns, published.t_ns)
     running, sums = np.zeros((3, len(ends))), np.zeros((*ends.shape, 3))
     for node, rates in _predictions(flown, grid, published, furthest, free=free):
-        # at the last node of all a window waits for the others
+        # A shorter window waits at its last node for the others
         counts = grid.compared[node] & (node <= furthest) & (node > before)
         before = node
         running += np.where(counts, (rates - grid.rates[:, node]) ** 2, 0.0)
@@ -390,7 +389,7 @@ def _predictions(
     published: Published,
     last: TimeArray,  # (W,) The node at which each window ends
     *,
-    free: bool,  # Whether the forces are the model's own, or held; as measured if not
+    free: bool,  # Whether the forces are the model's own, or held; else as measured
 ) -> Iterator[tuple[TimeArray, FloatArray]]:
     """Run the model in W windows side by side; yield the node of each, and its rates, (3, W)."""
     structure, a = published.structure, published.coefficients
@@ -428,7 +427,7 @@ def _predictions(
         with np.errstate(over="ignore", invalid="ignore"):
             steps = [(before, drive(grid.middle, node), driven, dt)]
             (state,) = integrate(derivative, state, steps)
-        # what is held at the bound has diverged; clipping turns an overflow into a number
+        # A state at the bound has diverged; clipping turns an overflow into a number
         state = [bounded(part) for part in state]
         node = following
         yield node, np.array(state[:3])

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The regression problem of a tick: ``y = A f``, linear in what is estimated.
+"""The regression problem ``y = A f``, linear in the coefficients.
 
 State-variable filter: with the same low-pass H(s) on every regressor and s H(s) on the rates,
-``s H x = A H f(x, u)`` holds exactly for every plant of the structure, and nothing is ever
+``s H x = A H f(x, u)`` holds exactly for every plant of the structure, and nothing is
 differentiated (Young 1981; Garnier and Wang 2008, ch. 1).
 
-With sideslip and angle of attack the moment rows are regressed on ay and az, which stand for them,
-``beta = (ay - Y_p p - Y_r r - Y_dr dr) / Y_beta``, and each force row on the kinematics of its
-angle::
+With sideslip and angle of attack the moment rows are regressed on ay and az, which stand for the
+angles, ``beta = (ay - Y_p p - Y_r r - Y_dr dr) / Y_beta``. Each force row is regressed on the
+kinematics of its angle::
 
     s H ay = Y_beta H[-r + (ay + g d_y) / V] + s H (Y_p p + Y_r r + Y_dr dr) + Y_beta (c H p + b)
     s H az = Z_alpha H[q + (az + g d_z) / V] + Z_de s H de + Z_alpha a
@@ -43,15 +43,14 @@ from uav_ident_ros.identification.structure import (
 )
 
 NEGLIGIBLE = TINY**0.25
-"""Magnitude below which a signal counts as zero: the square of its square must be a number still.
-"""
+"""Magnitude below which a signal counts as zero: its fourth power must not underflow."""
 
 
 _FLOW_STATE = np.r_[RATE_COLUMNS, LAST_COLUMNS]
 """Columns of p, q, r, sideslip and angle of attack."""
 
 _TURNING = np.array([1.0, -1.0])
-"""Signs with which p times the other angle, less r or q, turns sideslip and angle of attack."""
+"""Signs of p times the other angle, less r or q, in the rate of sideslip and angle of attack."""
 
 _MOMENTS, _MAIN_INPUTS = np.arange(len(ROWS)), MAIN_COLUMNS - INPUT_COLUMNS.start
 
@@ -60,25 +59,25 @@ _MOMENTS, _MAIN_INPUTS = np.arange(len(ROWS)), MAIN_COLUMNS - INPUT_COLUMNS.star
 class Layout:
     """Rows and columns of the regression problem of a structure.
 
-    Without flow angles they are those of the structure. With them ay, az stand where the
-    structure has beta, alpha, and more columns follow: the kinematics of both angles, and the
-    derivatives of the rates and the surfaces that add to their forces.
+    Without flow angles they are those of the structure. With flow angles ay and az take the columns
+    of beta and alpha. More columns follow: the kinematics of both angles, and the derivatives of
+    the rates and surfaces that add to the forces.
     """
 
     rows: int
     size: int  # Columns of f
-    index: NDArray[np.intp]  # (rows, k) Columns that each row is regressed on
-    place: NDArray[np.intp]  # (rows, k, 2) Row and column of the structure that each estimates
-    used: BoolArray  # (rows, k) Which of the k are there; a row may have fewer
+    index: NDArray[np.intp]  # (rows, k) Regressor columns of each row
+    place: NDArray[np.intp]  # (rows, k, 2) Estimated entry of the structure: row, column
+    used: BoolArray  # (rows, k) Flags of the regressors; a row may have fewer than k
 
     @cached_property
     def width(self) -> int:
-        """Number k of columns of the row with the most."""
+        """Largest number of regressors of a row, k."""
         return self.index.shape[1]
 
     @cached_property
     def driven_by(self) -> NDArray[np.intp]:
-        """Input that each instrument follows, (rows, k): itself, or else the row's main one."""
+        """Input of each instrument, (rows, k): itself, or else the row's main input."""
         main = _MAIN_INPUTS
         rows = np.array([*main, main[2], main[1]])[: self.rows]  # side force by rudder, lift by de
         own = self.index - INPUT_COLUMNS.start
@@ -96,15 +95,16 @@ class Layout:
         return [row[:, 1].tolist().index(RATE_COLUMNS.start) for row in places]
 
     def main_effect(self, inputs: FloatArray, samples: RowSamples) -> FloatArray:
-        """Return what main inputs with the derivatives `inputs` (3, 4) make in samples, (3, m)."""
+        """Return effects (3, m) of the main inputs in samples, by derivatives `inputs` (3, 4)."""
         derivatives = inputs[_MOMENTS, _MAIN_INPUTS]
         return np.asarray(derivatives[:, None] * samples.f[_MOMENTS, :, self.main])
 
     @cached_property
     def signals(self) -> tuple[NDArray[np.intp], FloatArray]:
-        """Columns of `Regression.signals` that `RowSamples` has, (rows, 2 + 2 k), and 1 or 0.
+        """Columns of `Regression.signals` in `RowSamples`, (rows, 2 + 2 k), and their factors.
 
-        The first is for the residual. The factor, (rows, 1, 2 + 2 k), is 0 where none is used.
+        The first column is replaced by the residual. A factor, (rows, 1, 2 + 2 k), is 1, or 0 where
+        a row has no regressor.
         """
         own = np.arange(self.rows)[:, None]
         regressors = self.rows + self.index
@@ -115,12 +115,12 @@ class Layout:
 
     @cached_property
     def _places(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Where the entries are that are used, and where their columns."""
+        """Places of the used entries, and of their columns."""
         used, rows = np.flatnonzero(self.used), np.arange(self.rows)[:, None]
         return used, (self.size * rows + self.index).ravel()[used]
 
     def matrix(self, linear: FloatArray) -> FloatArray:
-        """Return coefficients (rows, k) in the place of their columns, shape (rows, c)."""
+        """Return coefficients (rows, k) at their columns, shape (rows, c)."""
         entries, columns = self._places
         matrix = np.zeros(self.rows * self.size)
         matrix[columns] = linear.ravel()[entries]
@@ -128,7 +128,7 @@ class Layout:
 
 
 def differentiated_columns(structure: Structure) -> list[int]:
-    """Columns of rates and inputs whose derivatives the force rows are regressed on, in order."""
+    """Return the columns of rates and inputs whose derivatives are regressors of the force rows."""
     return sorted({j for flow in structure.flow for j in flow.others})
 
 
@@ -171,7 +171,7 @@ class Regression:
     restarted : bool
         Whether the first sample does not continue those before.
     injected : bool
-        Whether the instruments are driven by what was injected on purpose alone.
+        Whether the instruments are the response to the injected signals only.
 
     Attributes
     ----------
@@ -206,15 +206,15 @@ class Regression:
 
     @classmethod
     def join(cls, parts: Sequence[Regression]) -> Regression:
-        """Return samples that follow one another as one."""
+        """Join consecutive samples."""
         return replace(parts[0], signals=np.concatenate([part.signals for part in parts]))
 
     def continued_by(self, more: Regression) -> bool:
-        """Return whether more samples go on as these, so that both can be joined."""
+        """Return whether more samples continue these, so that both can be joined."""
         return not more.restarted and (more.dt, more.injected) == (self.dt, self.injected)
 
     def means(self) -> Regression:
-        """Return the means over stretches of `SAMPLE_TIME`, or nearly."""
+        """Return means over about `SAMPLE_TIME`."""
         m = len(self.signals)
         count = min(m, max(1, round(self.time / SAMPLE_TIME)))
         begin, width = _parts(m, count)
@@ -227,7 +227,7 @@ class Regression:
 
 
 class RowSamples:
-    """Samples of the regression problem with what belongs to each row, side by side.
+    """Samples of the regression problem, row by row.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ class RowSamples:
     Attributes
     ----------
     residual, y : (..., rows, m) array
-        What the coefficients before left of y, and y: what is explained.
+        Residual of the coefficients before the update, and y.
     f, z : (..., rows, m, k) array
         Regressors and instruments.
     width, count : int
@@ -257,7 +257,7 @@ class RowSamples:
 
     @classmethod
     def of(cls, samples: Regression, residual: FloatArray, layout: Layout) -> Self:
-        """Return samples with residuals (m, rows), picked by the layout of their problem."""
+        """Return samples with residuals (m, rows), in rows by a layout."""
         picked, there = layout.signals
         rows = cls(samples.signals.take(picked, axis=1).swapaxes(0, 1) * there, samples.dt)
         rows.residual[:] = residual.T
@@ -265,7 +265,7 @@ class RowSamples:
 
     @classmethod
     def join(cls, parts: Sequence[RowSamples], newest: int) -> Self:
-        """Return the newest of samples that follow one another."""
+        """Join consecutive samples, and return the `newest` of them."""
         signals = np.concatenate([part.signals for part in parts], axis=-2)
         return cls(signals[..., max(signals.shape[-2] - newest, 0) :, :], parts[-1].dt)
 
@@ -278,16 +278,16 @@ class RowSamples:
 
 @lru_cache(maxsize=64)
 def _parts(m: int, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Where `count` parts of m samples begin, and how many each has, (count, 1)."""
+    """Return where `count` parts of m samples begin, and their sizes, (count, 1)."""
     begin = np.arange(count) * m // count
     return begin, np.diff(begin, append=m)[:, None]
 
 
 class StateVariableFilter:
-    """Filtered regressors, instruments and accelerations from the blocks of signals.
+    """Filter from blocks of signals to regressors, instruments and accelerations.
 
-    At a restart the filters of what is differentiated start in equilibrium and all others from
-    zero: then the equation holds from the first sample on, without a transient.
+    At a restart the filters of differentiated signals start in equilibrium and all others at zero.
+    The equation then holds from the first sample on, without a transient.
     """
 
     def __init__(
@@ -306,13 +306,13 @@ class StateVariableFilter:
         columns, flows = differentiated_columns(structure), len(structure.flow)
         self._rates = [j for j in columns if j < INPUT_COLUMNS.start]
         self._surfaces = [j - INPUT_COLUMNS.start for j in columns if j >= INPUT_COLUMNS.start]
-        # Channels: what is differentiated (rates, with flow angles also ay, az and their surfaces),
-        # f, and what differs in z.
+        # Channels: the differentiated signals (rates, with flow angles also ay, az and their
+        # surfaces), f, and the part of z that differs.
         rows, size = 3 + flows, structure.size + flows
         self._f = slice(rows + len(self._surfaces), rows + len(self._surfaces) + size)
         self._z = slice(self._f.stop, self._f.stop + INPUT_COLUMNS.stop + 2 * flows)
         self._filter = BlockFilter(low_pass(cutoff, h), self._z.stop)
-        # Of y, f and z side by side: which of the channels, and then of their derivatives.
+        # Of y, f and z side by side: indices of the channels, and then of their derivatives.
         low, slope = np.arange(2 * self._z.stop).reshape(2, -1)
         turning = [j - RATE_COLUMNS.start for j in self._rates]
         f = [*low[self._f], *slope[turning], *slope[rows : self._f.start]]
@@ -333,9 +333,9 @@ class StateVariableFilter:
         model_states: FloatArray,  # (m + 1, 3 or 8) State of the identified model at the edges
         # (n,) Factor of each of the structure's regressors in the moment rows at the airspeed flown
         scale: FloatArray | None = None,
-        # (R, n) Those that the model ran with: they say what forces it makes
+        # (R, n) Coefficients of the model; its forces follow from them
         coefficients: FloatArray | None = None,
-        # (m, 4) The injected part of the inputs, if the model ran on that alone
+        # (m, 4) The injected part of the inputs, if the model ran on it alone
         driven_by: FloatArray | None = None,
     ) -> Regression:
         """Filter one block."""
@@ -368,7 +368,7 @@ class StateVariableFilter:
         driven_by: FloatArray,
         coefficients: FloatArray | None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the channels over the cells: straight lines at the edges, and what is held."""
+        """Return the channels over the cells: straight lines between edges, and held values."""
         n, points = self._structure.size, len(block.x)
         lines, held = np.zeros((points, self._z.stop)), np.zeros((points - 1, self._z.stop))
         states = np.concatenate((block.state, model_states))
@@ -392,7 +392,7 @@ class StateVariableFilter:
             by_inputs = driven_by @ made[:, INPUT_COLUMNS].T
             held[:, -4:-2], held[:, -2:] = by_inputs, by_inputs / v
             if block.early is not None:
-                # The accelerometer feels at once what a surface does, by the lever arm, too.
+                # A surface acts on the accelerometer at once, also by the lever arm.
                 at_once = made[:, INPUT_COLUMNS]
                 if self._corrects_lever:
                     at_once = at_once + self._lever @ coefficients[: len(ROWS), INPUT_COLUMNS]
@@ -405,7 +405,7 @@ class StateVariableFilter:
         return lines, held
 
     def _factor(self, scale: FloatArray) -> FloatArray:
-        """Return what takes the channels to the reference airspeed; forces stand for angles."""
+        """Return the channels' factors to the reference airspeed; forces stand for angles."""
         factor = np.ones(self._z.stop)
         f, z = factor[self._f], factor[self._z]
         kept = CONSTANT_COLUMN + 1 if self._structure.has_flow else len(scale)
@@ -417,26 +417,26 @@ class StateVariableFilter:
         return factor
 
     def _correct_lever(self, y: FloatArray, f: FloatArray, low: FloatArray, block: Block) -> None:
-        """Take the forces from the accelerometer to the centre of gravity."""
+        """Move the forces from the accelerometer to the centre of gravity."""
         offset = y[:, :3] @ self._lever.T
         f[:, LAST_COLUMNS] -= offset
         if block.flow is not None:
             n = self._structure.size
             f[:, n : n + 2] -= offset / block.flow.airspeed
-            # second derivative of the filtered rates, by the filter's own equation
+            # Second derivative of the filtered rates, by the filter's own equation
             w = self._cutoff
             jerk = w * w * (block.x[1:] - low[:, :3]) - np.sqrt(2.0) * w * y[:, :3]
             y[:, 3:] -= jerk @ self._lever.T
 
 
 def diagonal(matrices: FloatArray) -> FloatArray:
-    """Return the diagonals of contiguous square matrices (..., k, k), to be changed, (..., k)."""
+    """Return writable diagonals of contiguous square matrices (..., k, k), shape (..., k)."""
     *stack, k, _ = matrices.shape
     return matrices.reshape(*stack, k * k)[..., :: k + 1]
 
 
 def without_negligible(signals: FloatArray) -> FloatArray:
-    """Return signals with zeros where they are negligible."""
+    """Return signals with negligible values set to zero."""
     return np.where(np.abs(signals) < NEGLIGIBLE, 0.0, signals)
 
 

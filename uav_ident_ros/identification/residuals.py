@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the residuals of each row tell: noise, feedback, and what the flight confirms.
+"""Noise, feedback and confirmation from the residuals of each row.
 
-Gusts and the model's own errors are slow, and an autopilot answers them. An autoregressive model
-of the residual makes it white, and with it everything that is held against it: regressors,
-instruments, inputs (prewhitening; Box, Jenkins and Reinsel, Time Series Analysis, 2008).
+Gusts and the model's own errors are slow, and an autopilot answers them. An autoregressive model of
+the residual whitens it, and with it regressors, instruments and inputs (prewhitening; Box, Jenkins
+and Reinsel, Time Series Analysis, 2008).
 """
 
 from __future__ import annotations
@@ -41,30 +41,30 @@ ORDER = 3
 """Order of the autoregression, samples: gusts of first order behind a filter of second order."""
 
 LOADING = 0.01
-"""White noise added to the autocovariances, relative to the variance: keeps what is left of a
-slow input after whitening above what rounding and sampling leave."""
+"""White noise added to the autocovariances, relative to the variance. It keeps the whitened part of
+a slow input above the errors of rounding and sampling."""
 
 
 class NoiseModel:
     """Autoregressive models of the residuals of several rows."""
 
     def __init__(self, rows: int) -> None:
-        # What is predicted of a residual from those before it, the newest first
+        # Weights of the past residuals in the prediction, the newest first
         self.weights: FloatArray = np.zeros((rows, ORDER))
-        self.variance: FloatArray = np.zeros(rows)  # Of the innovation: of what is left
+        self.variance: FloatArray = np.zeros(rows)  # Of the innovation
         self._covariances: FloatArray = np.zeros((rows, ORDER + 1))
         self._time = self._since_fit = 0.0
         self._lags = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
-        # What turns `ORDER` + m signals into m innovations, (rows, m, `ORDER` + m)
+        # Matrices from `ORDER` + m signals to m innovations, (rows, m, `ORDER` + m)
         self._matrices: dict[int, FloatArray] = {}
         self._past: FloatArray | None = None
         self._known = 0
 
     def whiten(self, samples: RowSamples, *, restarted: bool) -> RowSamples:
-        """Learn from the residuals of samples, and return them whitened.
+        """Update the noise model with samples, and return them whitened.
 
-        Their residuals are innovations then. After a restart, where the first does not continue
-        those before, zeros take the place of the first `ORDER`.
+        Their residuals are then innovations. After a restart, where the first sample does not
+        continue the last, zeros take the place of the first `ORDER`.
         """
         new = samples.signals
         if restarted or self._past is None:
@@ -85,7 +85,7 @@ class NoiseModel:
         return RowSamples(white, samples.dt)
 
     def _learn(self, residual: FloatArray, dt: float) -> None:
-        """Take residuals (rows, ORDER + m), the first `ORDER` of which are known already."""
+        """Update the autocovariances by residuals (rows, ORDER + m), the first `ORDER` known."""
         new = residual[:, ORDER:]
         m = new.shape[1]
         self._time += m * dt
@@ -112,7 +112,7 @@ class NoiseModel:
 
 @lru_cache(maxsize=64)
 def _lags(m: int) -> NDArray[np.intp]:
-    """Places of the m newest of `ORDER` + m samples and of those before them, a lag a row."""
+    """Return places of the m newest of `ORDER` + m samples and of those before, a lag a row."""
     return np.add.outer(np.arange(ORDER, -1, -1), np.arange(m))
 
 
@@ -120,31 +120,32 @@ def _lags(m: int) -> NDArray[np.intp]:
 
 
 ANSWER_TIMES = np.geomspace(2.0 * SAMPLE_TIME, RESPONSE_TIME, 3)
-"""Time constants in which past residuals fade, s: from a rate loop, as quick as samples show it, to
-one that holds attitudes."""
+"""Time constants of the fading past residuals, s: from a rate loop, as fast as the samples allow,
+to an attitude loop."""
 
 
 _MAIN_PLACES = [INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
 
 
 class Feedback:
-    """Follows how much of the inputs past residuals explain: feedback is not information.
+    """Share of the inputs that past residuals explain: feedback, which is no information.
 
-    A gust moves the aircraft, an autopilot answers, and the input is correlated with the gust w: no
-    residual shows it, and no time averages it away. But the answer comes after the gust: past
-    residuals explain a share R^2 of an input that is fed back, and nothing of one that is not (the
-    test of residuals against future inputs; Ljung, System Identification, 1999, ch. 13 and 16). So
-    over a time T the sum of ``z w``, by which the estimate is off, is at most (Cauchy and Schwarz)
+    A gust moves the aircraft, an autopilot answers, and the input is correlated with the gust w. No
+    residual shows this, and no time averages it away. But the answer comes later than the gust:
+    past residuals explain a share R^2 of an input with feedback, and nothing of one without (the
+    test of residuals against future inputs; Ljung, System Identification, 1999, ch. 13 and 16).
+    Over a time T the sum of ``z w``, which biases the estimate, is therefore at most (Cauchy and
+    Schwarz)
 
-        C = T sigma_w^2 S,  S = sum R^2 z z^T,
+        C = T sigma_w^2 S, S = sum R^2 z z^T,
 
-    where the sum of independent disturbances has a correlation time in place of T. Of w the
-    residual shows what is not in the estimate already (`Information.spread`).
+    where the sum of independent disturbances has a correlation time in place of T. The residual
+    shows the part of w that is not yet in the estimate (`Information.spread`).
 
-    No answer does more than its gust: no loop overcompensates over its whole band. Where the share
-    that seems to answer does, past residuals explain it by chance, as they do where both are slow,
-    or since the model is poor; unless they also foretell what is new in the input, beside its own
-    past (Granger, Econometrica 37, 1969).
+    No loop answers a gust with more motion than the gust makes. A share that would do so may be
+    chance, since both signals are slow, or the error of a poor model. It counts only if past
+    residuals also improve on the prediction from the input's own past (Granger, Econometrica 37,
+    1969).
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -153,7 +154,7 @@ class Feedback:
         self._answers = self._past.size + 1  # and the constant
         self._inputs = slice(self._answers, self._answers + len(INPUTS))
         self._gusts = slice(self._inputs.stop, self._inputs.stop + len(ROWS))
-        self._before: FloatArray = np.zeros((ORDER, len(INPUTS)))  # the newest last
+        self._before: FloatArray = np.zeros((ORDER, len(INPUTS)))  # The newest last
         size = self._gusts.stop + self._before.size
         self._products: FloatArray = np.zeros((size, size))
         self._gathered: list[tuple[Regression, FloatArray, float]] = []
@@ -163,22 +164,22 @@ class Feedback:
     def _set_share(self, share: FloatArray, sure: BoolArray) -> None:
         # R^2 of each input, (4,); 0 where it may be chance
         self.share = np.where(sure, share, 0.0)
-        # q = R^2 / (1 - R^2) of the input that each instrument follows, (rows, k)
+        # q = R^2 / (1 - R^2) of each instrument's input, (rows, k)
         self.ratio: FloatArray = (self.share / (1.0 - self.share))[self._driven_by]
         root = np.sqrt((share / (1.0 - share), share, self.share))[:, self._driven_by]
         # Of each pair of instruments the root of the product of q, of R^2, both by chance or not,
-        # and of R^2 that is no chance, (rows, 3, k, k); None where nothing answers
+        # and of the significant R^2, (rows, 3, k, k); None without feedback
         answering = (root[..., :, None] * root[..., None, :]).swapaxes(0, 1)
         self.answering: FloatArray | None = answering if share.any() else None
 
     def add(
         self,
         samples: Regression,
-        residual: FloatArray,  # (m, 3) Theirs in the moment rows, rad/s^2
-        weight: FloatArray,  # (3,) How much the rows learn from them, 0 ... 1
-        effect: FloatArray,  # (3,) Size of each row's main control derivative, 0 if not known
+        residual: FloatArray,  # (m, 3) Of the samples in the moment rows, rad/s^2
+        weight: FloatArray,  # (3,) Weight of the samples in the rows, 0 ... 1
+        effect: FloatArray,  # (3,) Magnitude of each row's main control derivative, 0 if not known
     ) -> None:
-        """Take samples; they are looked at every `INDEPENDENT_TIME`."""
+        """Add samples; they are evaluated every `INDEPENDENT_TIME`."""
         self._gathered.append((samples, residual, samples.dt * max(weight.tolist())))
         self._since_look += samples.time
         if self._since_look >= INDEPENDENT_TIME:
@@ -188,7 +189,7 @@ class Feedback:
                 self._look(samples.dt, effect)
 
     def _count(self) -> None:
-        """Add up the products of the samples that were gathered."""
+        """Add the products of the collected samples."""
         gathered, self._gathered = self._gathered, []
         signals = np.ones((sum(len(residual) for _, residual, _ in gathered), len(self._products)))
         weight, first = np.empty((len(signals), 1)), 0
@@ -201,7 +202,7 @@ class Feedback:
             last = first + m
             inputs = np.concatenate((self._before, samples.f[:, INPUT_COLUMNS]))
             self._before = inputs[-ORDER:]
-            # the inputs and those before them, the residuals between
+            # The inputs, the residuals, and the inputs before
             now, *lagged = inputs[_lags(m)]
             signals[first:last, self._inputs.start :] = np.hstack((now, residual, *lagged))
             for k in range(first, last):
@@ -215,7 +216,7 @@ class Feedback:
         self._products += (weight * signals).T @ signals
 
     def _look(self, interval: float, effect: FloatArray) -> None:
-        """Look anew which inputs answer, samples `interval` s apart."""
+        """Update the inputs' shares of feedback, from samples `interval` s apart."""
         n = self._answers
         time = self._products[n - 1, n - 1]
         mean = self._products[n - 1] / time
@@ -228,7 +229,7 @@ class Feedback:
         variance = np.diag(covariance)[self._inputs]
         moved = variance > TINY
         share = np.divide(explained, variance, out=np.zeros(len(INPUTS)), where=moved)
-        # By chance n regressors explain n samples' worth, give or take sqrt(2 n).
+        # By chance n regressors explain the part of n samples, +- sqrt(2 n).
         chance = (n - 1) * GUST_TIME / time
         surely = 1.0 + SURE * np.sqrt(2.0 / (n - 1))
         sure = share > chance * surely
@@ -238,9 +239,9 @@ class Feedback:
         self._set_share(np.maximum(share - chance, 0.0), sure)
 
     def _exceeds(self, covariance: FloatArray, share: FloatArray, effect: FloatArray) -> BoolArray:
-        """Whether such shares of the inputs, (4,), do more than the gusts of their plane of motion.
+        """Return whether shares of the inputs, (4,), move more than the gusts of their plane.
 
-        So does the throttle, which no rate loop moves, and which has no row of its own.
+        True for the throttle, which no rate loop moves, and which has no row of its own.
         """
         variance = np.diag(covariance)
         gusts, inputs = variance[self._gusts].copy(), variance[self._inputs]
@@ -251,9 +252,9 @@ class Feedback:
         return stronger
 
     def _predicted_share(self, covariance: FloatArray, i: int) -> float:
-        """Return the share of what is new in an input that past residuals foretell.
+        """Return the share of an input's innovation that past residuals predict.
 
-        New is what its own past does not foretell.
+        The innovation is the error of the prediction from the input's own past.
         """
         at, past = self._inputs.start + i, np.arange(self._past.size)
         own = self._gusts.stop + i + len(INPUTS) * np.arange(ORDER)
@@ -262,7 +263,7 @@ class Feedback:
 
 
 def _left(covariance: FloatArray, at: int, by: NDArray[np.intp]) -> float:
-    """Variance of a signal that others leave unexplained."""
+    """Return the variance of a signal that others leave unexplained."""
     matrix, across = covariance[np.ix_(by, by)], covariance[by, at]
     power = diagonal(matrix)
     power += ROUNDING * power + TINY
@@ -273,15 +274,14 @@ def _left(covariance: FloatArray, at: int, by: NDArray[np.intp]) -> float:
 
 
 CONFIRMED = 0.5 * SURE**2
-"""Logarithm of the odds, ninety to one, from which on a derivative counts as confirmed: it did
-something by `SURE` standard deviations."""
+"""Logarithm of the odds, 90 to 1, from which a derivative is confirmed: its effect is significant
+at `SURE` standard deviations."""
 
 LARGEST_ODDS = 2.0 * CONFIRMED
-"""Logarithm of the odds beyond which more evidence adds nothing: what has failed is noticed
-soon, however long it had worked."""
+"""Bound on the logarithm of the odds: a failure shows soon, however long the surface had worked."""
 
 NO_VARIANCE = float(np.finfo(float).eps)
-"""Variance, rad^2/s^4, below which a residual has none."""
+"""Variance below which a residual counts as zero, rad^2/s^4."""
 
 
 def _bounded(odds: float) -> float:
@@ -292,26 +292,26 @@ def _bounded(odds: float) -> float:
 class Confirmation:
     """Evidence for and against the main control derivatives of the moment rows.
 
-    A sequential probability ratio test (Wald 1945) a control derivative: does the whitened residual
-    look more as if the surface did what is believed, or as if it did nothing? A surface that is
-    lost or reversed speaks against it as soon as it moves, one that does not move says nothing, and
-    what was confirmed fades. Where surfaces have their turns, as with doublets on one after the
-    other, it fades no sooner than the next turn is due.
+    For each derivative a sequential probability ratio test (Wald 1945) of the whitened residual:
+    "the surface has its estimated effect" against "it has none". A lost or reversed surface turns
+    the odds as soon as it moves. A surface that does not move gives no evidence, and its
+    confirmation fades. Where surfaces are excited in turns, as by doublets one after the other, it
+    fades no sooner than the next turn is due.
     """
 
     def __init__(self) -> None:
         self._odds = [0.0] * len(ROWS)
         self._now = 0.0  # Time since the start, s
         self._recent = [0.0] * len(ROWS)  # Evidence of the last `INDEPENDENT_TIME`
-        # Squared residuals of that time, times dt: as they are, and if the inputs did nothing
+        # Squared residuals of that time, times dt: with the estimated effect, and with none
         self._left: FloatArray = np.zeros((2, len(ROWS)))
         self._left_time = 0.0
-        self._moved = [-math.inf] * len(ROWS)  # When that was last enough by itself, s
-        # When a turn of the surface began, and how long it had rested before, s
+        self._moved = [-math.inf] * len(ROWS)  # Last time that reached the bound, s
+        # Start of each turn of the surface, and the rest before it, s
         self._turns: list[deque[tuple[float, float]]] = [deque() for _ in ROWS]
 
     def forget(self, row: int) -> None:
-        """Forget the evidence of a row: its derivatives are learned anew."""
+        """Clear the evidence of a row whose derivatives are learned anew."""
         self._odds[row] = 0.0
         self._moved[row] = -math.inf
         self._turns[row].clear()
@@ -319,20 +319,20 @@ class Confirmation:
     def add(
         self,
         white: RowSamples,
-        effect: FloatArray,  # (3, m) What the main inputs make in them, by derivatives believed
-        variance: FloatArray,  # (rows,) Of their residuals, the innovations
-        max_age: float,  # In which what was confirmed fades while the input rests, s; 0: never
+        effect: FloatArray,  # (3, m) Estimated effects of the main inputs in the samples
+        variance: FloatArray,  # (rows,) Of the innovations
+        max_age: float,  # Time in which a confirmation fades at rest, s; 0: never
     ) -> None:
-        """Weigh whitened samples."""
+        """Add whitened samples to the evidence."""
         residual = white.residual[: len(ROWS)]
-        # squared residuals as they are, and if the input did nothing
+        # Squared residuals with the estimated effect, and with none
         left = np.add.reduce(np.square((residual, residual + effect)), axis=2)
         time = effect.shape[1] * white.dt
         self.fade(time, max_age)
         keep = math.exp(-time / INDEPENDENT_TIME)
         self._left = keep * self._left + left * white.dt
         self._left_time = keep * self._left_time + time
-        # What the better of both leaves is noise, too, where it is more than usual.
+        # The residual of the better hypothesis is noise, too, where it exceeds the usual noise.
         noise = np.maximum(variance[: len(ROWS)], self._left.min(axis=0) / self._left_time)
         gain = left[1] - left[0]
         for i, (more, spread) in enumerate(zip(gain.tolist(), noise.tolist(), strict=True)):
@@ -345,9 +345,10 @@ class Confirmation:
                     self._turns[i].append((self._now, rested))
 
     def fade(self, time: float, max_age: float) -> None:
-        """Let what was confirmed fade for some time, s.
+        """Fade the confirmations by a time, s.
 
-        From the largest odds within `max_age`, s, after the next turn of the input is due.
+        The largest odds fade to the limit within `max_age`, s, after the next turn of the input is
+        due.
         """
         self._now += time
         if max_age <= 0.0:
@@ -359,7 +360,7 @@ class Confirmation:
             self._odds[i] *= (CONFIRMED / LARGEST_ODDS) ** (time / age)
 
     def doubt(self, row: int) -> str:
-        """Return why the main control derivative of a row is in doubt; empty if it is not."""
+        """Return why a row's main control derivative is not confirmed; empty if it is."""
         odds = self._odds[row]
         if odds >= CONFIRMED:
             return ""
