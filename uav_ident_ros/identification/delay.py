@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How late the inputs act, from the flight itself: the delay whose model predicts best.
+"""Transport delay of the inputs from the flight: the delay whose model predicts best.
 
-A bank of light models, one for each delay and servo lag, learns from the same flight by least
-squares and predicts it freely, a second at a time and out of sample. The residual of least squares
-finds the delay of whoever answers the aircraft, an autopilot; prediction finds the aircraft's, and
-where nobody moves the inputs on purpose all delays predict alike, so quiet flight is left out: the
-answers of an autopilot would in time outweigh what the excitation told. Delay and lag predict
-alike, too: the delay that goes with the lag in use is told well, the split only in calm air. Where
-somebody excites on purpose, the response to that takes the bank's place as soon as it is sure.
+A bank of light models, one for each delay and servo lag, learns by least squares and predicts
+freely, a second at a time and out of sample. The residual of least squares finds the delay of the
+autopilot's answers; prediction finds the aircraft's. Without excitation all delays predict alike.
+Quiet flight is therefore left out: an autopilot's answers would in time outweigh the excitation.
+Delay and lag predict alike, too: the delay for the lag in use is well determined, the split only in
+calm air. An estimate from the response to injected signals takes the bank's place as soon as it is
+sure.
 """
 
 from __future__ import annotations
@@ -42,36 +42,37 @@ from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 LAGS = (0.0, 0.06, 0.12)
 """Servo lags of the bank, beyond the one in use, s."""
 
-_LAG_STEPS = math.ceil(4.0 * LAGS[-1] / STEP)  # the longest has forgotten by then
+_LAG_STEPS = math.ceil(4.0 * LAGS[-1] / STEP)  # The response of the longest has decayed by then
 
 WINDOW, WINDOWS = round(HORIZONS[0] / STEP), round(HORIZONS[-1] / HORIZONS[0])
-"""Steps of a prediction, 1 s, and predictions of a block: as long as one that a pilot makes."""
+"""Steps of a prediction, 1 s, and predictions of a block: as long as a pilot's prediction."""
 
 SAMPLE = round(2.0 * SAMPLE_TIME / STEP)
-"""Steps over which the equation of motion is integrated for a sample of the regression."""
+"""Steps of integration of the equation of motion for one sample of the regression."""
 
 FEWEST_BLOCKS = 2
-"""Blocks that are learned from before predictions count, and predicted before they are judged."""
+"""Number of blocks before predictions count, and of predicted blocks before an estimate."""
 
 RIDGE = FIRST_RESIDUAL_VARIANCE * SAMPLE * STEP
-"""Residual variance times its correlation time that weighs the prior of the models, rad^2/s^3."""
+"""Residual variance times its correlation time, the weight of the models' prior, rad^2/s^3."""
 
 ALIKE = 0.08
 """Relative difference of the squared error at which two lags predict alike: two points of a fit of
 50 %. Least squares in gusts turns some of a lag into slower damping."""
 
 APART = 3
-"""Steps at which a wrong delay must predict worse, by `DOUBTLESS` standard deviations: an
-autopilot's answers alone reach 3.5. The bank goes twice as far below no delay: commands may be
-known too late."""
+"""Distance, in steps, at which a wrong delay must predict worse by `DOUBTLESS` standard deviations:
+an autopilot's answers alone reach 3.5. The bank extends twice as far below zero delay, since stamps
+may be late."""
 
 SYSTEMATIC_ERROR = 0.0075
-"""What blocks do not tell, s: noise and gusts in the regressors, inputs held between samples."""
+"""Error that the scatter of blocks does not show, s: noise and gusts in the regressors, held
+inputs."""
 
 SURE_SIGMA = 2.0 * SYSTEMATIC_ERROR
-"""Standard deviation up to which a delay counts as known, s: off by more it costs the fit."""
+"""Standard deviation up to which a delay counts as known, s: a larger error lowers the fit."""
 
-_KEEP = math.exp(-1.0 / BLOCKS)  # of what was learned, in each block
+_KEEP = math.exp(-1.0 / BLOCKS)  # Discount factor of the sums, for each block
 _RUDDER, _ELEVATOR = INPUTS.index("dr"), INPUTS.index("de")
 _SURFACES = (_RUDDER, _ELEVATOR)
 # Regressors of the moments: p q r, inputs, constant, ay az.
@@ -84,16 +85,16 @@ _LEAST_SLOPES = 0.1 * np.array([SIDE_FORCE_SLOPE, LIFT_SLOPE])
 
 @dataclass(frozen=True)
 class DelayEstimate:
-    """What the flight says about the delay."""
+    """Estimate of the transport delay and servo lag, with its uncertainty."""
 
-    delay: float = 0.0  # That goes with the lag in use, s; below zero where that is too long
+    delay: float = 0.0  # For the lag in use, s; negative where that is too long
     sigma: float = math.inf  # Its standard deviation, s
-    total: float = 0.0  # Delay and lag together, whatever the lag, s
+    total: float = 0.0  # Delay plus lag, for any lag, s
     total_sigma: float = math.inf  # Its standard deviation, s
-    rise: float = 0.0  # Of the prediction error to wrong delays, in its standard deviations
+    rise: float = 0.0  # Of the prediction error at wrong delays, in its standard deviations
     lag: float = 0.0  # First-order lag, s
     lag_sigma: float = math.inf  # Its standard deviation, s
-    hidden: float = 0.0  # Lag beyond the one in use that a delay stands for, s, rms by the odds
+    hidden: float = 0.0  # Lag beyond the one in use, in whose place the delay may be, rms, s
 
     @property
     def sure(self) -> bool:
@@ -107,23 +108,23 @@ class DelayEstimate:
 
     @property
     def from_injected(self) -> bool:
-        """Whether it is what is injected that tells of delay and lag, with standard deviations."""
+        """Whether the estimate is from injected signals, which give the lag a sigma."""
         return math.isfinite(self.lag_sigma)
 
     @property
     def lag_sure(self) -> bool:
-        """Whether the split is known: chance adds no more to its error than is there anyway."""
+        """Whether the split is known: its random error is at most the systematic one."""
         return self.total_sure and self.lag_sigma <= math.sqrt(2.0) * SYSTEMATIC_ERROR
 
     @property
     def confidence(self) -> str:
-        """The same in a word: ``none`` (no data), ``low`` or ``sure``."""
+        """Confidence in the delay: ``none`` (no data), ``low`` or ``sure``."""
         return "sure" if self.sure else "low" if math.isfinite(self.sigma) else "none"
 
     def lag_off(self, lag: float) -> float:
-        """By how much a lag in use is too short, s; 0 where it is not known to be wrong.
+        """Return estimated lag minus lag in use, s; 0 where that is not known to be wrong.
 
-        No lag is longer than the sum: no input acts before it is given.
+        No lag exceeds the sum: no input acts before it is given.
         """
         off = self.lag - lag
         if self.from_injected and self.total_sure and lag - self.total > 2.0 * self.total_sigma:
@@ -131,16 +132,16 @@ class DelayEstimate:
         return off if self.lag_sure and abs(off) > 2.0 * self.lag_sigma else 0.0
 
     def off(self, delay: float) -> float:
-        """By how much a delay in use is too short, s; 0 where it is not known to be wrong."""
+        """Return estimated delay minus delay in use, s; 0 where that is not known to be wrong."""
         off = self.delay - delay
         wrong = self.rise >= DOUBTLESS and abs(off) > 2.0 * self.sigma
         return off if wrong else 0.0
 
     def excess(self, lag: float) -> float:
-        """Servo lag in use that may not be there, s, rms by the odds.
+        """Return the rms part of a servo lag in use that may be too much, s.
 
-        No input acts before it is given: a delay below zero by more than its sigma is evidence
-        against the lag that it goes with. Any part of that, alike, may then be too much.
+        No input acts before it is given: a negative delay by more than its sigma is evidence
+        against the lag in use. Any part of that lag, with equal probability, may then be too much.
         """
         if not self.sure:
             return 0.0
@@ -148,9 +149,9 @@ class DelayEstimate:
         return lag * math.sqrt((1.0 - math.exp(-0.5 * beyond**2)) / 3.0)
 
     def contradiction(self, delay: float, held: float = 0.0) -> str:
-        """Return in words how a delay in use is off, s.
+        """Return a message with the error of a delay in use, s, and its cure.
 
-        Inputs that come seldom are `held` too long, s, and then seem to act early.
+        Inputs at a low rate are `held` too long, s, and then appear to act early.
         """
         off = self.delay - delay
         word = "later" if off > 0.0 else "earlier"
@@ -173,18 +174,18 @@ NO_ESTIMATE = DelayEstimate()
 
 @dataclass(frozen=True)
 class _Signals:
-    """A block on the bank's grid: W windows of N steps."""
+    """Signals of a block on the bank's grid: W windows of N steps."""
 
     x: FloatArray  # Rates at the edges of the steps, (W, N + 1, 3)
-    force: FloatArray  # ay and az in the mean of the steps on both sides of them, (W, N + 1, 2)
+    force: FloatArray  # ay and az, means of the steps on both sides, (W, N + 1, 2)
     down: FloatArray  # y and z of the unit vector that points down, (W, N + 1, 2)
     airspeed: float
-    u: FloatArray  # Means of the inputs over steps, from the earliest that matters, (M, 4)
-    injected: bool  # Whether anything was injected on purpose
+    u: FloatArray  # Means of the inputs over steps, from the earliest delayed one, (M, 4)
+    injected: bool  # Whether the block has injected signals
 
     @cached_property
     def means(self) -> FloatArray:
-        """Rates, a one, and the forces: means over the samples, (W, samples, 6)."""
+        """Means over the samples of rates, a one, and forces, (W, samples, 6)."""
         one = np.ones((*self.x.shape[:2], 1))
         return _means(np.concatenate((self.x, one, self.force), axis=2))
 
@@ -195,25 +196,25 @@ class _Signals:
 
     @cached_property
     def worst(self) -> FloatArray:
-        """Squared errors at which a prediction of p, q, r has failed, (W, 3)."""
+        """Squared errors of a failed prediction of p, q, r, (W, 3)."""
         spread = (self.x - self.x.mean(axis=(0, 1))) ** 2
         return np.asarray(np.maximum(spread.sum(axis=1), spread.sum(axis=(0, 1)) / WINDOWS))
 
     @cached_property
     def turning(self) -> FloatArray:
-        """What the kinematics of sideslip and angle of attack say, (W, samples, 2), rad/s."""
+        """Rates of sideslip and angle of attack by the kinematics, (W, samples, 2), rad/s."""
         by_force = (self.force + GRAVITY * self.down) / self.airspeed
         return _means(by_force + self.x[..., 2:0:-1] * (-1.0, 1.0))
 
 
 class DelayBank:
-    """Light models, one for each delay and lag, and how well each has predicted."""
+    """Light models, one for each delay and lag, with their prediction errors."""
 
     def __init__(
         self,
-        longest: float,  # Longest delay that is plausible, s
+        longest: float,  # Longest plausible delay, s
         lag: float = 0.0,  # Servo lag in use, s
-        before: DelayBank | None = None,  # That with another lag; what was injected has told it
+        before: DelayBank | None = None,  # The bank with another lag; its injected response stays
     ) -> None:
         self._lag = lag
         self._back = round(longest / STEP)
@@ -239,8 +240,8 @@ class DelayBank:
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new stretch of signals; what was learned stays."""
-        self._parts: list[tuple[Block, bool]] = []  # and whether excitation reached it
+        """Begin a new stretch of signals; the models stay."""
+        self._parts: list[tuple[Block, bool]] = []  # And whether each is excited
         self._first: int | None = None
         self._response.restart()
 
@@ -248,32 +249,32 @@ class DelayBank:
     def errors(self) -> FloatArray:
         """Squared prediction errors of p, q, r at each delay, with the lag in use, (J, 3).
 
-        Geometric means over blocks: what is judged.
+        Geometric means over blocks, as in the cost.
         """
         if not self._errors:
             return np.zeros((len(self.delays), 3))
         return np.asarray(np.exp(_logarithms(np.stack(self._errors))[:, 0].mean(axis=0)))
 
     def lost(self) -> FloatArray:
-        """Return which share of each input a lag takes that the delay may stand for, (4,)."""
+        """Return the share of each input, (4,), that a lag in the delay's place may remove."""
         share = 1.0 - np.sqrt(self._power / np.maximum(self._power[0], np.finfo(float).tiny))
         share[:, self._power[0] == 0.0] = 0.0
         return np.array([np.interp(self.estimate.hidden, LAGS, column) for column in share.T])
 
     def add(
         self,
-        block: Block,  # Without its flow forces are left out
-        delay: float,  # Delay that the block's inputs have, s
+        block: Block,  # Without flow, forces are left out
+        delay: float,  # Delay of the block's inputs, s
         excited: bool = True,  # Whether more than an autopilot in gusts moves the inputs
     ) -> bool:
-        """Take a block; say whether there is a new estimate."""
+        """Add a block; return whether the estimate is new."""
         delay_ns = round(delay / NS)
         edges = block.t_ns
         last_ns = self._parts[-1][0].t_ns[-1] if self._parts else edges[0]
         if last_ns != edges[0] or delay_ns != self._delay_ns:
             self.restart()
         self._delay_ns = delay_ns
-        before = max(self._before_ns - delay_ns, round(STEP / NS))  # forces reach a step back
+        before = max(self._before_ns - delay_ns, round(STEP / NS))  # Forces reach a step back
         if self._first is None:
             self._first = int(edges[0]) + before
         self._parts.append((block, excited))
@@ -285,12 +286,12 @@ class DelayBank:
             self._first += WINDOW * WINDOWS * round(STEP / NS)
             if signals.injected or self._excited(first, self._first):
                 self._block = self._judge_models(signals)
-            keep = self._first - before - round(STEP / NS)  # signals are means over a step
+            keep = self._first - before - round(STEP / NS)  # Signals are means over a step
             self._parts = [part for part in self._parts if part[0].t_ns[-1] >= keep]
         return renewed
 
     def _excited(self, first: int, last: int) -> bool:
-        """Whether the flight was excited for most of the time from `first` to `last`, ns."""
+        """Return whether the flight was excited for most of the time from `first` to `last`, ns."""
         time = sum(
             min(int(block.t_ns[-1]), last) - max(int(block.t_ns[0]), first)
             for block, excited in self._parts
@@ -299,7 +300,7 @@ class DelayBank:
         return 2 * time > last - first
 
     def _signals(self, first: int) -> _Signals:
-        """Resample what was gathered from `first`, ns, on."""
+        """Resample the collected blocks from `first`, ns, on."""
         block = join([block for block, _ in self._parts])
         self._has_flow, airspeed = block.flow is not None, 1.0
         values = np.zeros((len(block.x), 7))
@@ -313,7 +314,7 @@ class DelayBank:
         values, u = _smoothed(values, block.h), _smoothed(u, block.h)
         grid = STEP * np.arange(WINDOW * WINDOWS + 1)
         signals = _interpolate(grid, t, values)
-        # A step of a surface is one of the force: both are means over the same time.
+        # A step of a surface is a step of the force: both are means over the same time.
         force = 0.5 * (values[1:, 3:5] + values[:-1, 3:5])
         ends = STEP * np.arange(-1, WINDOW * WINDOWS + 2)
         sums = _interpolate(ends, t, _integral(force, t))
@@ -331,7 +332,7 @@ class DelayBank:
         return _Signals(x, force, down, airspeed, means, bool(injected.any()))
 
     def _work(self) -> bool:
-        """Do one part of what is to be done for a block; say whether there is a new estimate."""
+        """Do the next part of the work on a block; return whether the estimate is new."""
         if self._block is None:
             return False
         try:
@@ -342,7 +343,7 @@ class DelayBank:
         return False
 
     def _judge_models(self, signals: _Signals) -> Generator[None, None, bool]:
-        """Score the models with each lag on a block and teach them, in steps; then judge."""
+        """Score and update the models with each lag by a block, in steps; then estimate."""
         self._power *= _KEEP
         found = []
         for power, lag, models in zip(self._power, LAGS, self._models, strict=True):
@@ -354,20 +355,20 @@ class DelayBank:
             yield
         if signals.injected and self._response.windows > 2 * FEWEST_BLOCKS:
             yield from self._use_response()
-        errors = [e for e in found if e is not None]  # none by models that know nothing yet
+        errors = [e for e in found if e is not None]  # No score before the first updates
         if not errors:
             return False
         self._errors.append(np.stack(errors))
         if len(self._errors) >= FEWEST_BLOCKS:
             opposed = False if self._has_flow else self._models[0].opposed(self._early)
             bank = judge(np.stack(self._errors), self.delays, self._lag, opposed)
-            if self._response.windows > 0.0:  # then it is for that to say what the sum is
+            if self._response.windows > 0.0:  # The sum then waits for the injected response
                 bank = replace(bank, total_sigma=max(bank.total_sigma, self._injected.total_sigma))
             self.estimate = self._injected if self._injected.total_sure else bank
         return True
 
     def _use_response(self) -> Generator[None]:
-        """Take what the response to what is injected tells, if anything."""
+        """Update the estimate from the response to the injected signals, if there is one."""
         found = yield from self._response.find(self.delays, LAGS, APART * STEP)
         at_lag = yield from self._response.find(self.delays, (self._lag,), APART * STEP)
         if found is not None and at_lag is not None:
@@ -375,7 +376,7 @@ class DelayBank:
 
 
 class _Models:
-    """Linear models of p q r and of what the flow adds to ay az, one for each of J delays."""
+    """Linear models of p q r and of the flow's part in ay az, one for each of J delays."""
 
     def __init__(self, count: int) -> None:
         size = len(_PRECISION)
@@ -388,13 +389,13 @@ class _Models:
         signals: _Signals,
         u: FloatArray,  # (J, W, N + 2, 4) Inputs with each delay
     ) -> FloatArray | None:
-        """Return squared errors of p, q, r, (J, 3), with what was learned; None at first."""
+        """Return squared prediction errors of p, q, r, (J, 3); None before the first updates."""
         if self._blocks < FEWEST_BLOCKS:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
             error = self._predict(signals, u) - signals.x[:, 1:].swapaxes(0, 1)
             errors = (error**2).sum(axis=1)
-        # One that diverged has failed, no more.
+        # A diverged prediction counts as a failed one.
         return np.asarray(np.fmin(errors, signals.worst).sum(axis=1))
 
     def learn(
@@ -403,14 +404,14 @@ class _Models:
         u: FloatArray,  # (M, 4) Inputs with the lag
         first: NDArray[np.intp],  # (J, W, samples) First step of each sample, with each delay
     ) -> None:
-        """Add a block to what the models are solved from."""
+        """Add a block to the models' sums."""
         self._blocks += 1
         own, slopes = signals.means, signals.slopes
         means = sliding_window_view(u, SAMPLE, axis=0).mean(axis=-1)
         f = np.empty((*first.shape, len(_PRECISION)))
         f[..., :3], f[..., _INPUTS], f[..., _CONSTANT:] = own[..., :3], means[first], own[..., 3:]
         self._moments = _KEEP * self._moments + _products(f, slopes[..., :3])
-        edges = 0.5 * (u[1:] + u[:-1])  # the step at an index, and the one after
+        edges = 0.5 * (u[1:] + u[:-1])  # The step at an index, and the one after
         moved = (edges[first - 1 + SAMPLE] - edges[first - 1]) / (SAMPLE * STEP)
         f = np.ones((*first.shape, 3))
         for k, surface in enumerate(_SURFACES):
@@ -419,12 +420,12 @@ class _Models:
 
     def opposed(
         self,
-        now: int,  # The model whose inputs are not delayed
+        now: int,  # Index of the model without delay
     ) -> BoolArray:
-        """Whether the inputs, by each model, act against p, q, r more than they make them, (J, 3).
+        """Return flags, by each model, of rates p, q, r that the inputs oppose, (J, 3).
 
-        So do those of an autopilot; what is injected makes the rates of an aircraft that damps
-        itself.
+        An autopilot's inputs oppose the rates. Injected inputs make the rates of an aircraft that
+        damps itself.
         """
         sums, rates = self._moments[now], slice(3)
         means = np.outer(sums[rates, _CONSTANT], sums[_CONSTANT, _INPUTS])
@@ -433,7 +434,7 @@ class _Models:
         return np.asarray(np.einsum("kj,djk->dk", together, effect) < 0.0)
 
     def _predict(self, signals: _Signals, u: FloatArray) -> FloatArray:
-        """Rates after each step of each window, (J, N, W, 3), from the measured state."""
+        """Return the rates after each step of each window, (J, N, W, 3), from measured states."""
         v, count = signals.airspeed, len(u)
         a = _solve(self._moments, _PRECISION)  # (J, 10, 3)
         forces = _solve(self._forces, np.full(3, RIDGE))[..., 0]  # (2, J, 3)
@@ -458,24 +459,24 @@ class _Models:
         driven = flat @ drive + constant[:, None]
         down = 0.5 * (signals.down[:, 1:] + signals.down[:, :-1]) * GRAVITY / v
         driven[..., 3:] += slopes.T[:, None] * down.swapaxes(0, 1).reshape(-1, 2)
-        # The trapezoidal rule is stable whatever was learned of a stable aircraft.
+        # The trapezoidal rule is stable for every stable model.
         half = 0.5 * STEP * matrix
         after = np.linalg.inv(np.eye(5) - half)
         on, states = (np.eye(5) + half) @ after, STEP * driven @ after
         states[:, :WINDOWS] += start @ on
         reach = WINDOWS
-        while reach < states.shape[1]:  # sums of all before, by doubling
+        while reach < states.shape[1]:  # Sums of all before, by doubling
             states[:, reach:] += states[:, :-reach] @ on
             on, reach = on @ on, 2 * reach
         return states[..., :3].reshape(count, WINDOW, WINDOWS, 3)
 
 
 def by_injection(
-    found: Found,  # Delay and lag by the response to what is injected
+    found: Found,  # Delay and lag by the response to injected signals
     at_lag: Found,  # The same with the lag in use
     lag: float,  # Servo lag in use, s
 ) -> DelayEstimate:
-    """Return what the response to what is injected tells."""
+    """Return the delay estimate from the response to injected signals."""
     total_sigma, sigma = (
         math.hypot(SYSTEMATIC_ERROR, math.sqrt(f.covariance[0, 0])) for f in (found, at_lag)
     )
@@ -495,17 +496,17 @@ def by_injection(
 def judge(
     errors: FloatArray,  # (B, L, J, 3) Squared errors of p, q, r in each block
     delays: FloatArray,  # (J,) The delays, s
-    lag: float = 0.0,  # Servo lag in use, s, beyond which the bank's lags are
-    opposed: BoolArray | bool = False,  # (J, 3) Whether the inputs act against the rates
+    lag: float = 0.0,  # Servo lag in use, s; the bank's lags add to it
+    opposed: BoolArray | bool = False,  # (J, 3) Whether the inputs oppose the rates
 ) -> DelayEstimate:
-    """Return the delay at which the models predicted best, and how sure that is.
+    """Return the delay of the best predictions, with its uncertainty.
 
-    Each block has an unexplained motion of its own, of unknown variance: the likelihood of a delay
-    then falls with the mean over blocks of the logarithm of their squared errors. Of their sum one
-    block has the most, a take-off or a gust, whatever the others tell.
+    Each block has an unexplained motion of unknown variance. The likelihood of a delay therefore
+    falls with the mean over blocks of the logarithm of their squared errors. A mean of the squared
+    errors would depend on one block, a take-off or a gust.
 
-    Sigma is that of the jackknife over blocks, half the difference of the flight's halves, and
-    what an autopilot's answers can feign.
+    Sigma has three parts: the jackknife over blocks, half the difference of the flight's halves,
+    and the lateness that an autopilot's answers can cause.
     """
     count = len(errors)
     logs = _logarithms(errors)
@@ -514,7 +515,7 @@ def judge(
     means = np.stack((mean, *halves, *(mean + (mean - logs) / (count - 1))))
     total, cost = np.exp(mean), means.mean(axis=3)
     _, least, inside = _vertices(cost, delays)
-    # It is the squared error, not its logarithm, that is a parabola.
+    # The squared error, not its logarithm, is a parabola.
     squares = np.exp(means - means.min(axis=2, keepdims=True)).mean(axis=3)
     best, _, _ = _vertices(squares, delays)
     # A lag that is too long makes inputs act before they are given.
@@ -526,7 +527,7 @@ def judge(
     whole = (weight * sums).sum(axis=1)
     between = float((weight[0] * (sums[0] - whole[0]) ** 2).sum())
     found = np.stack((best[:, 0], whole), axis=1)
-    # The two, by the jackknife and by the halves.
+    # Variances of both, by the jackknife and by the halves.
     variance = (count - 1) * found[3:].var(axis=0) + 0.25 * (found[1] - found[2]) ** 2
     middle = int(np.argmin(cost[0, 0]))
     answered = np.broadcast_to(opposed, total[0].shape)
@@ -534,7 +535,7 @@ def judge(
     sides = np.clip([middle - APART, middle + APART], 0, len(delays) - 1)
     rises = cost[:, 0, sides] - cost[:, 0, [middle]]
     spread = np.sqrt((count - 1) * rises[3:].var(axis=0)) + np.finfo(float).tiny
-    # An autopilot's answers come after the motion, as if inputs acted before they are given.
+    # An autopilot's answers follow the motion, like inputs that act before they are given.
     valid = inside[0, 0] and not (found[0, 0] < 0.0 and answered[np.abs(delays).argmin()].any())
     return DelayEstimate(
         delay=float(found[0, 0]),
@@ -547,20 +548,19 @@ def judge(
 
 
 def _logarithms(errors: FloatArray) -> FloatArray:
-    """Return the logarithms of errors, those of none as of next to none."""
+    """Return the logarithms of errors, finite for an error of zero."""
     return np.asarray(np.log(np.maximum(errors, np.finfo(float).tiny)))
 
 
 def _feedback_lateness(
     errors: FloatArray,  # (J, 3) Squared errors of p, q, r
-    middle: int,  # Where they are least
-    opposed: BoolArray,  # (3,) Whether the inputs act against p, q, r
+    middle: int,  # Index of the least errors
+    opposed: BoolArray,  # (3,) Whether the inputs oppose p, q, r
 ) -> float:
-    """By how much answers to unexplained motion can make inputs look late, s.
+    """Return the lateness of the inputs that feedback from unexplained motion can cause, s.
 
-    Where an autopilot's answers outweigh what is injected, motion that nothing explains makes the
-    inputs look later by the time of an answer, times its share. With flow angles gusts are
-    explained.
+    Where an autopilot's answers outweigh the injected signals, unexplained motion makes the inputs
+    look later, by the time of an answer times its share. With flow angles gusts are explained.
     """
     beside = errors[[max(middle - 1, 0), min(middle + 1, len(errors) - 1)]].sum(axis=0)
     weight = np.maximum(beside / errors[middle] - 2.0, 0.0)
@@ -570,9 +570,9 @@ def _feedback_lateness(
 
 def _vertices(
     cost: FloatArray,  # (..., J)
-    delays: FloatArray,  # (J,) Where it is, s
+    delays: FloatArray,  # (J,) Its delays, s
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Delay and cost where a parabola is least, and whether that is inside the range, (...)."""
+    """Return a parabola's minimum: delay, cost, and whether it is inside the range, (...)."""
     least = cost.argmin(axis=-1)
     inside = (least > 0) & (least < len(delays) - 1)
     middle = np.clip(least, 1, len(delays) - 2)
@@ -586,35 +586,35 @@ def _vertices(
 
 
 def _smoothed(values: FloatArray, h: float) -> FloatArray:
-    """Means over a step about each edge, or cell, of width `h`, s; less at the ends.
+    """Return means over a step about each edge, or cell, of width `h`, s; less at the ends.
 
-    All signals alike, so that the equations between them hold as before. What vibrates faster than
-    the bank's steps would else come as a slow motion that nothing explains.
+    All signals are averaged alike, so that the equations between them still hold. A vibration
+    faster than the bank's steps would otherwise alias to a slow, unexplained motion.
     """
     reach = int(0.5 * STEP / h)
     if reach == 0:
         return values
     sums = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
     place = np.arange(len(values))
-    around = np.minimum(reach, np.minimum(place, place[::-1]))  # about its middle at the ends, too
+    around = np.minimum(reach, np.minimum(place, place[::-1]))  # Symmetric at the ends, too
     return np.asarray(
         (sums[place + around + 1] - sums[place - around]) / (2.0 * around + 1.0)[:, None]
     )
 
 
 def _interpolate(grid: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
-    """Columns of values at `t` on a grid."""
+    """Return columns of values at `t`, interpolated on a grid."""
     return np.stack([np.interp(grid, t, column) for column in values.T], axis=1)
 
 
 def _integral(cells: FloatArray, t: FloatArray) -> FloatArray:
-    """Integral from the first edge on of values of cells between edges, (M + 1, c)."""
+    """Return the integral from the first edge on of cell values, (M + 1, c)."""
     added = np.cumsum(cells * np.diff(t)[:, None], axis=0)
     return np.vstack((np.zeros(cells.shape[1]), added))
 
 
 def _lagged(u: FloatArray, lag: float) -> FloatArray:
-    """Means over steps of inputs after a first-order lag; without its first `_LAG_STEPS` steps."""
+    """Return means over steps of lagged inputs, without the first `_LAG_STEPS` steps."""
     if lag == 0.0:
         return u[_LAG_STEPS:]
     keep = math.exp(-STEP / lag)
@@ -625,19 +625,19 @@ def _lagged(u: FloatArray, lag: float) -> FloatArray:
 
 
 def _means(edges: FloatArray) -> FloatArray:
-    """Means over the samples of values at the edges of steps, (W, N + 1, c)."""
+    """Return means over the samples of values at the edges of steps, (W, N + 1, c)."""
     middle = 0.5 * (edges[:, 1:] + edges[:, :-1])
     shape = (len(edges), WINDOW // SAMPLE, SAMPLE, edges.shape[-1])
     return np.asarray(middle.reshape(shape).mean(axis=2))
 
 
 def _slopes(edges: FloatArray) -> FloatArray:
-    """Rates of change over the samples of values at the edges of steps, (..., N + 1, c)."""
+    """Return rates of change over the samples of values at the edges of steps, (..., N + 1, c)."""
     return np.asarray(np.diff(edges[..., ::SAMPLE, :], axis=-2) / (SAMPLE * STEP))
 
 
 def _products(f: FloatArray, y: FloatArray) -> FloatArray:
-    """Add up f f^T and f y^T side by side, (J, k, k + m), times the samples' time."""
+    """Return sums of f f^T and f y^T side by side, (J, k, k + m), times the samples' time."""
     left = f.reshape(len(f), -1, f.shape[-1])
     right = np.broadcast_to(y, (*f.shape[:-1], y.shape[-1])).reshape(*left.shape[:2], -1)
     both = np.concatenate((left, right), axis=2)
@@ -645,6 +645,6 @@ def _products(f: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _solve(sums: FloatArray, precision: FloatArray) -> FloatArray:
-    """Least squares of the sums of `_products`, with a prior about zero, (..., k, m)."""
+    """Solve the sums of `_products` by least squares, with a prior about zero, (..., k, m)."""
     k = len(precision)
     return np.linalg.solve(sums[..., :k] + np.diag(precision), sums[..., k:])

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Delay and servo lag from the response to what is injected on purpose.
+"""Delay and servo lag from the response to injected signals.
 
-What is injected knows nothing of gusts and of the autopilot's answers to them. With the right
-delay and lag the equation of motion leaves nothing that still correlates with it, at any shift: the
-test of over-identifying restrictions of instrumental variables (Sargan 1958, Hansen 1982). What is
-left is chi-squared, so the delay and the lag with which it is least have standard deviations.
+An injected signal is independent of gusts and of the autopilot's answers to them. With the right
+delay and lag, the residual of the equation of motion does not correlate with it at any shift: the
+test of over-identifying restrictions of instrumental variables (Sargan 1958, Hansen 1982). The test
+statistic is chi-squared, so the delay and lag of its minimum have standard deviations.
 
-All signals are kept as cross-spectra of windows that overlap by half: there a delay and a lag are
+All signals are kept as cross-spectra of windows that overlap by half. There a delay and a lag are
 factors, and noise of any colour is a weight.
 """
 
@@ -27,19 +27,19 @@ from uav_ident_ros.identification.structure import BoolArray, FloatArray
 ComplexArray = NDArray[np.complex128]
 
 WINDOW = round(HORIZONS[-1] / SAMPLE_TIME)
-"""Samples of a window, 5 s: delays and lags are short beside it."""
+"""Samples of a window, 5 s: much longer than delays and lags."""
 
 SHIFT = 2.0 * SAMPLE_TIME
-"""Time between the shifts of what is injected, s: the means over samples leave nothing quicker."""
+"""Time between the shifts of the injected signals, s: means over samples contain nothing faster."""
 
 SHIFTS = SHIFT * np.arange(round(HORIZONS[0] / SHIFT) + 1)
-"""Shifts at which it is an instrument, s: as far as an aircraft's motion is predicted."""
+"""Shifts at which the signals are instruments, s: up to the horizon of a prediction."""
 
 _HARMONICS = np.arange(1, round(HORIZONS[-1] / (2.0 * SHIFT)) + 1)
 _OMEGA = 2.0 * np.pi * _HARMONICS / HORIZONS[-1]
-# The squares of two that overlap by half add up to one: as if nothing were windowed.
+# The squares of two overlapping tapers add up to one, as without windows.
 _TAPER = np.sin(np.pi * (np.arange(WINDOW) + 0.5) / WINDOW)[:, None] / np.sqrt(WINDOW)
-_SMOOTH = np.ones(round(HORIZONS[-1] / INDEPENDENT_TIME))  # harmonics over which noise is alike
+_SMOOTH = np.ones(round(HORIZONS[-1] / INDEPENDENT_TIME))  # Harmonics in a mean of the noise
 
 # Signals: injected de dr da, then p q r, ay az, de dr da, and the slopes of p q r.
 _INJECTED, _INPUTS, _SIZE = slice(0, 3), slice(8, 11), 14
@@ -53,12 +53,12 @@ _AXES = (
 
 
 class Found(NamedTuple):
-    """The delay and the lag that leave least, and how well they are known."""
+    """Delay and lag of the least statistic, with their covariance."""
 
     total: float  # Delay and lag together, s
-    square: float  # Square of the lag, s^2: the response is smooth in it, down to no lag
+    square: float  # Square of the lag, s^2: the response is smooth in it, also at no lag
     covariance: FloatArray  # (2, 2) Of these two
-    rise: float  # Of what is left, to sums that are far, in standard deviations
+    rise: float  # Of the statistic at distant sums, in standard deviations
 
     @property
     def lag(self) -> tuple[float, float]:
@@ -69,25 +69,25 @@ class Found(NamedTuple):
 
 
 class InjectedResponse:
-    """What the aircraft answers to what is injected, as cross-spectra of all signals."""
+    """Response of the aircraft to injected signals, as cross-spectra of all signals."""
 
     def __init__(self) -> None:
         self._spectra: ComplexArray = np.zeros((len(_OMEGA), _SIZE, _SIZE), dtype=complex)
-        self.windows = 0.0  # What is known, in windows
+        self.windows = 0.0  # Discounted number of windows in the sums
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new stretch of signals; what was learned stays."""
+        """Begin a new stretch of signals; the spectra stay."""
         self._half: FloatArray = np.zeros((0, _SIZE))
 
     def add(
         self,
         x: FloatArray,  # (N + 1, 5) Rates, ay and az, at the edges of N steps
         u: FloatArray,  # (N, 4) Means of the inputs over the steps, not delayed
-        injected: FloatArray,  # The same of what was injected
-        lag: float,  # First-order lag that the inputs have, s
+        injected: FloatArray,  # The same of the injected signals
+        lag: float,  # First-order lag of the inputs, s
     ) -> None:
-        """Take an even number of steps that follow those before."""
+        """Add an even number of steps that continue the last."""
         steps = np.concatenate((injected[:, :3], 0.5 * (x[1:] + x[:-1]), u[:, :3]), axis=1)
         slopes = np.diff(x[::2, :3], axis=0) / SAMPLE_TIME
         new = np.concatenate((0.5 * (steps[::2] + steps[1::2]), slopes), axis=1)
@@ -104,15 +104,15 @@ class InjectedResponse:
 
     def find(
         self,
-        delays: FloatArray,  # To start from, s
-        lags: Sequence[float],  # The same, s; one alone counts as known
-        far: float,  # Difference of sums at which more has to be left, s
+        delays: FloatArray,  # Of the grid, s
+        lags: Sequence[float],  # The same, s; a single one is known
+        far: float,  # Distance of sums for the rise, s
     ) -> Generator[None, None, Found | None]:
-        """Return, in steps, the delay and the lag that leave least; None where nothing tells."""
+        """Return, in steps, the delay and lag of the least statistic; None without information."""
         rows = [_Row(self._spectra, self.windows, axis) for axis in range(len(_AXES))]
         points = np.array([(delay + lag, lag * lag) for lag in lags for delay in delays])
         yield
-        for _ in range(2):  # the noise is that of the residual, which needs a model
+        for _ in range(2):  # The noise is that of the residual, which needs a model
             best = points[np.argmin(_left(rows, points))]
             for row in rows:
                 row.weigh(best)
@@ -132,7 +132,7 @@ class InjectedResponse:
 
 
 class _Row:
-    """The equation of motion of one axis, as the instruments see it."""
+    """Equation of motion of one axis, projected on the instruments."""
 
     def __init__(self, spectra: ComplexArray, windows: float, axis: int) -> None:
         self._fixed, self._inputs, injected, self._slope = _AXES[axis]
@@ -152,7 +152,7 @@ class _Row:
         self._weigh(self._slopes)
 
     def _weigh(self, left: FloatArray) -> None:
-        """Weigh with the noise, whose spectrum is smooth."""
+        """Set the weight from a residual's spectrum, smoothed over harmonics."""
         noise = left + ROUNDING * self._slopes + NEGLIGIBLE
         count = np.convolve(np.ones(len(noise)), _SMOOTH, "same")
         self._weight = self._windows * count / np.convolve(noise, _SMOOTH, "same")
@@ -162,12 +162,12 @@ class _Row:
         self._seen = self._weight[:, None, None] * (root @ self._products)
 
     def weigh(self, point: FloatArray) -> None:
-        """Weigh with the noise that this sum and square of lag leave."""
+        """Set the weight from the residual at a sum and a square of the lag."""
         left = self._combined(point)[1][..., -1]
         self._weigh(_power(self._spectra, left[..., None])[:, 0, 0].real)
 
     def left(self, points: FloatArray) -> FloatArray:
-        """Return what still correlates with the instruments at points (C, 2), chi-squared."""
+        """Return the chi-squared of residual times instruments at points (C, 2)."""
         inputs = np.tensordot(_response(points)[0], self._seen[..., self._inputs], 1).real
         others = self._seen[..., [*self._fixed, self._slope]].sum(axis=0).real
         others = np.broadcast_to(others, (len(points), *others.shape))
@@ -177,18 +177,18 @@ class _Row:
         return np.asarray(gram[:, -1, -1] - (gram[:, -1:, :-1] @ solved)[:, 0, 0])
 
     def moments(self, point: FloatArray) -> FloatArray:
-        """Products of the slopes by sum and by square, and of what is left, (2, 3, 3).
+        """Return products of the derivatives by sum and by square, and of the residual, (2, 3, 3).
 
-        First as the instruments see them; then what of it any instruments would see, by chance.
+        First projected on the instruments, then the expected part by chance of any instruments.
         """
         seen, maps = self._combined(point)
         whole = np.tensordot(self._weight, _power(self._spectra, maps), 1).real
         return np.stack((seen.T @ seen, self._by_chance * whole))
 
     def _combined(self, point: FloatArray) -> tuple[FloatArray, ComplexArray]:
-        """Slopes by sum and by square, and what is left, without what the regressors explain.
+        """Return derivatives by sum and by square, and the residual, without the regressors' part.
 
-        As the instruments see them, (Z, 3), and as what they are of the signals, (K, S, 3).
+        Projected on the instruments, (Z, 3), and as maps from the signals, (K, S, 3).
         """
         response, *slopes = (part[0] for part in _response(point[None]))
         count, inputs = len(self._precision), slice(len(self._fixed), len(self._precision))
@@ -203,19 +203,19 @@ class _Row:
         return seen @ out, np.asarray(maps @ out)
 
     def _solved(self, maps: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """Return what instruments see of maps, and coefficients of the last three in the others."""
+        """Return projections of maps on instruments, and the last three regressed on the others."""
         seen = (self._seen @ maps).sum(axis=0).real
         f, y = seen[:, :-3], seen[:, -3:]
         return seen, np.linalg.solve(f.T @ f + self._precision, f.T @ y)
 
 
 def _power(spectra: ComplexArray, maps: ComplexArray) -> ComplexArray:
-    """Cross-spectra of what maps make of the signals, (K, m, m)."""
+    """Return the cross-spectra of mapped signals, (K, m, m)."""
     return np.asarray(maps.conj().swapaxes(1, 2) @ spectra @ maps)
 
 
 def _left(rows: Sequence[_Row], points: FloatArray) -> FloatArray:
-    """Return what all rows leave at sums and squares (C, 2)."""
+    """Return the statistic of all rows at sums and squares (C, 2)."""
     return np.asarray(np.sum([row.left(points) for row in rows], axis=0))
 
 
@@ -225,7 +225,7 @@ def _moments(rows: Sequence[_Row], point: FloatArray) -> FloatArray:
 
 
 def _response(points: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Frequency response to an input at sums and squares (C, 2), and its slopes by both."""
+    """Return the frequency response to an input at points (C, 2), and its derivatives by both."""
     lag = np.sqrt(points[:, 1:])
     follows = 1.0 / (1.0 + 1j * _OMEGA * lag)
     response = np.exp(-1j * _OMEGA * (points[:, :1] - lag)) * follows
@@ -233,7 +233,7 @@ def _response(points: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexAr
 
 
 def _ahead(moments: FloatArray, point: FloatArray, free: BoolArray) -> FloatArray:
-    """Points ahead, the farthest where to first order least is left; no lag is below zero."""
+    """Return points along a Gauss-Newton step, the farthest first; no lag is below zero."""
     step, info = np.zeros(2), moments[:2, :2] + ROUNDING * np.eye(2)
     step[free] = np.linalg.solve(info[free][:, free], moments[:2, 2][free])
     if point[1] + step[1] < 0.0:
@@ -244,15 +244,15 @@ def _ahead(moments: FloatArray, point: FloatArray, free: BoolArray) -> FloatArra
 
 def _judged(
     rows: Sequence[_Row],
-    point: FloatArray,  # Sum and square that leave least
+    point: FloatArray,  # Sum and square of the least statistic
     free: BoolArray,  # (2,) Whether they were free
-    least: float,  # What they leave
-    far: FloatArray,  # What is left far away
+    least: float,  # Its value
+    far: FloatArray,  # The statistic at distant sums
 ) -> Found | None:
-    """Say how well they are known.
+    """Return the estimate with its covariance; None without information.
 
-    Instruments see a share of all motion by chance. It biases what is found, which is taken back
-    and counts as an error, too; and it tells nothing.
+    Instruments explain a share of all motion by chance. The bias by that share is removed, and its
+    size counts as an error. Its information is removed, too.
     """
     seen, by_chance = _moments(rows, point)
     information = (seen - by_chance)[:2, :2][free][:, free]

@@ -326,7 +326,8 @@ def _interpolated(at_ns: TimeArray, t_ns: TimeArray, values: FloatArray) -> Floa
 class _Grid:
     """All measurements on one time grid: gyro samples, ticks, corners of the inputs.
 
-    Between two nodes all signals are smooth, and so is every step of the integration."""
+    Between two nodes all signals are smooth, and so is every step of the integration.
+    """
 
     t_ns: TimeArray  # (G,) Nodes, ns
     compared: BoolArray  # (G,) Which of them are gyro samples
