@@ -59,8 +59,7 @@ less, so ``az/alpha`` is beyond ``-g / 0.4``. Where the elevator rests in calm a
 information bounds it: angles of a radian turned sideslip into roll (``p alpha``)."""
 
 FORCE_SIGMA = INPUT_SIGMA / abs(LIFT_SLOPE)
-"""Prior standard deviation of the coefficients of specific forces in moment rows, rad/s^2 per
-m/s^2."""
+"""Prior standard deviation of the moments by specific forces, rad/s^2 per m/s^2."""
 
 SURFACE_SHARE = {"ay": 0.6, "az": 0.15}
 """Prior standard deviations of the forces of rudder and elevator per rad, relative to the slopes of
@@ -123,10 +122,7 @@ class Start:
         return np.asarray(self.free & (self.sigma < weak_sigma(structure)))
 
     def weakened(self, structure: Structure, which: BoolArray | None = None) -> Start:
-        """Return the start with the weak prior for some coefficients (R, n); by default for all.
-
-        The initial values stay.
-        """
+        """Return the start with the weak prior for some coefficients (R, n), for all by default."""
         weak = self.informative(structure) if which is None else self.informative(structure) & which
         return replace(self, sigma=np.where(weak, weak_sigma(structure), self.sigma))
 
@@ -148,8 +144,8 @@ def first_values(structure: Structure) -> FloatArray:
 def slope_bounds(structure: Structure) -> FloatArray:
     """Upper bounds of the coefficients, shape (R, n): a force opposes its flow angle.
 
-    The slopes are denominators and must not vanish. A tenth of the initial side-force slope is less
-    than any aircraft has. Lift holds the aircraft in level flight.
+    The slopes are denominators and must not vanish. Every aircraft has a tenth of the initial
+    side-force slope, and lift equals weight.
     """
     bounds = np.full(structure.mask.shape, np.inf)
     largest = 0.1 * SIDE_FORCE_SLOPE, -GRAVITY / LARGEST_LIFT_ANGLE
@@ -253,8 +249,7 @@ def start_from(settings: Settings, initial: CoefficientSet | None = None) -> Sta
                 f"an initial coefficient is beyond {LARGEST_NUMBER:g}: none in SI units is",
             )
         values = np.where(structure.mask, initial.values, 0.0)
-        # Trim, balance and sensor biases differ from flight to flight: the constants keep the weak
-        # prior.
+        # Trim and biases differ from flight to flight: constants keep the weak prior.
         known = (initial.sigma > 0.0) & ~structure.constants
         sigma = np.where(known, np.minimum(initial.sigma, sigma), sigma)
     if settings.model.inertia:

@@ -86,8 +86,8 @@ class ExcitationGate:
         enough = max(self.settings.min_excitation, TINY)
         liveliest = np.maximum.reduce(self._watched * self.share, axis=1) / enough
         liveliest[self._blind] = 1.0
-        # The square: the samples' information falls as the variance of the inputs, feedback's bias
-        # does not.
+        # The square: the samples' information falls as the inputs' variance, feedback's bias does
+        # not.
         self.weight = np.minimum(liveliest, 1.0) ** 2
         self.learning = self.weight == 1.0
         self.clear = self.learning & (self.signal >= 1.0)

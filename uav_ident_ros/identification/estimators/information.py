@@ -72,17 +72,16 @@ class Sums:
         self.zy, self.zf = self.products[..., :1], self.products[..., 1 : 1 + k]
         self.zz = self.products[..., 1 + k :]
         squares = table[..., first:-2].reshape(*shape, 5, k, k)
-        # sum q z z^T, sum R^2 z z^T and the same with significant R^2 only, times dt: see
-        # `Feedback`
+        # sum q z z^T, sum R^2 z z^T and that of the significant R^2, times dt: see `Feedback`
         self.answers = squares[:, :, :3]
-        # Sum of g g^T over blocks, g the sum of z e over a block, times dt; and sum f f^T over the
-        # time with feedback, times dt
+        # Sum of g g^T over blocks, g the sum of z e over a block, times dt; sum f f^T over the time
+        # with feedback, times dt
         self.scores, self.power = squares[:, :, 3], squares[:, :, 4]
         # Number of blocks, and time with feedback, by chance or not, s
         self.blocks, self.answer_time = table[..., -2], table[..., -1]
 
     @classmethod
-    def nothing(cls, parts: int, rows: int, k: int) -> Self:
+    def empty(cls, parts: int, rows: int, k: int) -> Self:
         """Return empty sums."""
         return cls(np.zeros((parts, rows, k * (1 + 7 * k) + 2)), k)
 
@@ -184,12 +183,12 @@ class Information:
         self._places = (structure.size * self._i + self._j).ravel()[self._used]
         self._transform = Transform(structure, layout)
         self.start = start
-        self.sums = Sums.nothing(parts, rows, k)
+        self.sums = Sums.empty(parts, rows, k)
         # Rows whose regressors are still their own instruments, and the end of that time, s
         self.warming_up: BoolArray = np.full(rows, any(instrumental))
         self._warm_at: FloatArray = np.full(rows, SHORT_MEMORY)
         # Sums of that time, and the share of them that is left
-        self._fading, self._faded = Sums.nothing(parts, rows, k), np.zeros(rows)
+        self._fading, self._faded = Sums.empty(parts, rows, k), np.zeros(rows)
         # Running residual variance, (parts, rows)
         self.variance: FloatArray = np.full((parts, rows), FIRST_RESIDUAL_VARIANCE)
         self.time: FloatArray = np.zeros(rows)  # Time of learning of each row, s

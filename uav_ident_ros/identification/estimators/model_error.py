@@ -6,11 +6,11 @@ damping absorbs most of it. Each row is therefore solved once more with addition
 
     y = A f + c1 u|u| + c2 du/dt - c3 d2u/dt2,
 
-with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16). A c1
-against the input's effect is saturation, such a c2 lateness. Such a c3 is an effect that falls with
-frequency, as of a servo lag in whose place a delay is in use. The control derivative is then off by
-about as much. A c2 that adds to the effect shows an input that acts early: a configured lag or
-delay is too long, and all derivatives may be off by several times.
+with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16).
+Against the input's effect, c1 is saturation, c2 lateness, and c3 an effect that falls with
+frequency, as by a servo lag in whose place a delay is in use. The control derivative is then off by
+about as much. A c2 that adds to the effect is an input that acts early: a configured lag or delay
+is too long, and all derivatives may be off by several times.
 
 An accelerometer h above the centre of gravity measures `h pdot` as side force. In the row of ay,
 with p in the place of u, c2 is h.
@@ -76,8 +76,8 @@ class ModelError:
         # attenuation and lateness; of the newest saturation and lateness
         self._sure: BoolArray = np.zeros((rows, 2, 2), dtype=bool)
         self._sure_early: BoolArray = np.zeros((rows, 1, 2), dtype=bool)
-        # Largest loss by saturation, lateness or attenuation, relative to the input's effect, both
-        # in rms, at most 1; 0 where not significant
+        # Largest loss by saturation, lateness or attenuation, relative to the input's effect, rms,
+        # at most 1; 0 where not significant
         self.share: FloatArray = np.zeros(len(ROWS))
         self._early: FloatArray = np.zeros(len(ROWS))
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
@@ -86,8 +86,7 @@ class ModelError:
     def relative_error(self, known: BoolArray) -> FloatArray:
         """Return `share`, (3,), or the earliness of any of the rows `known`, (3,), if that is more.
 
-        Delay and lag are one setting for all inputs. Only a wrong setting makes an input early
-        whose effect is known.
+        Delay and lag are one setting for all inputs; only an error of it makes a known input early.
         """
         return np.maximum(self.share, self._early.max(initial=0.0, where=known))
 
@@ -156,7 +155,7 @@ class ModelError:
     def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
         """Evaluate all blocks, and earliness in those after the start, if these are enough.
 
-        A leaking model lets gusts into the instruments, which the inputs then seem to precede.
+        With a leaking model gusts are in the instruments, and the inputs appear to precede them.
         """
         count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
         if count <= k:
@@ -167,7 +166,7 @@ class ModelError:
         moments = informative[: len(ROWS)]
         if informative[len(ROWS) :].all():
             self.height = float(size[len(ROWS) :, 0, 1].sum())
-        # saturation, lateness beside it, and attenuation
+        # saturation, lateness next to it, and attenuation
         taken = found[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
         self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
@@ -190,9 +189,9 @@ class ModelError:
         """Return losses by the additional regressors, their coefficients, and determined rows.
 
         The first two are (rows, others, 2), of one of `others` and of lateness, 0 where not
-        significant. They are solved in units of each regressor's rms and compared with their sigma,
-        and `sure` (rows, others, 2) is updated. A row is determined, (rows,), if its input moved in
-        more blocks than it makes regressors: fewer leave no scatter.
+        significant. They are solved in units of rms and tested by their sigma; `sure` (rows,
+        others, 2) is updated. A row is determined if its input moved in more blocks than it makes
+        regressors: fewer leave no scatter.
         """
         zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
         count, width = zy.shape[1:]
@@ -211,7 +210,7 @@ class ModelError:
         moved = zz[range(len(zz)), :, self._entries, self._entries]
         shares = moved / np.maximum(moved.sum(axis=1, keepdims=True), POWERLESS)
         effective = shares.sum(axis=1) / np.maximum(np.square(shares).sum(axis=1), ROUNDING)
-        made = k - own + 1  # Regressors of the input: itself, and the additional ones
+        made = k - own + 1  # Of the input: itself, and the additional ones
         informative = effective > made
         lost = np.maximum(k / (count - k), made / np.where(informative, effective - made, 1.0))
         variance = (1.0 + lost[:, None, None]) * np.add.reduce(scatter**2, axis=2)

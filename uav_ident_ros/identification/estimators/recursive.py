@@ -122,7 +122,7 @@ class RecursiveRegression:
     def start(self, start: Start) -> None:
         self._start = self.information.start = start
         inputs_known = start.known_a_priori(self._structure)[: len(ROWS), INPUT_COLUMNS]
-        self._known_before = inputs_known.any(axis=1)
+        self._known_a_priori = inputs_known.any(axis=1)
         if self._reference:
             self._reference.estimator.start = start.weakened(self._structure)
         self.coefficients = np.where(start.free, self.coefficients, start.values)
@@ -161,7 +161,7 @@ class RecursiveRegression:
         # Injected signals contain no disturbance.
         answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
         # An input that answers gusts looks late. Without knowledge a priori either denies the row.
-        ratio, rolls = answers * self._known_before, float(answers[0])
+        ratio, rolls = answers * self._known_a_priori, float(answers[0])
         effect = self._linear[MAIN_DERIVATIVES]
         settled = self.information.time.max() >= START_TIME
         restarted = samples.restarted
