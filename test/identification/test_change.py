@@ -44,7 +44,7 @@ class Watched:
         sigma: ArrayLike = 0.0,
         known: ArrayLike = 1.0,  # Times its effect
     ) -> None:
-        own, self.found, self.seeming = detector(), [], np.zeros(len(u))
+        own, self.found, self.apparent = detector(), [], np.zeros(len(u))
         scatter = np.random.default_rng(1).normal(size=(len(u), 3))
         noise, sigma, known = (np.broadcast_to(v, len(u)) for v in (noise, sigma, known))
         for k in range(len(u)):
@@ -55,8 +55,8 @@ class Watched:
             if own.add(Regression.of(y, f, f, TICK / 10).means()):
                 changes = own.look(known[k] * ELEVATOR, np.full((3, 4), sigma[k]))
                 self.found += [(k, change.row, change.column) for change in changes]
-            self.seeming[k] = own.seeming[1, 0]
-            assert not np.delete(own.seeming.ravel(), 4).any()
+            self.apparent[k] = own.apparent[1, 0]
+            assert not np.delete(own.apparent.ravel(), 4).any()
 
     def assert_first(self, since: int, column: int = 8) -> None:
         """Nothing before a tick, and then a change of the elevator."""
@@ -157,9 +157,9 @@ def test_what_noise_hides_of_a_change_seems_to_change_until_it_is_learned() -> N
     known = np.where(k < 1600, 1.0, 0.5)
     flown = Watched(u, 10.0 * u * (k >= 1200), 0.4, 0.3, known)
     assert flown.found == []
-    assert flown.seeming[:1200].max() == 0.0
-    assert flown.seeming[1300:1600].min() > 5.0
-    assert flown.seeming[1700:].max() == 0.0
+    assert flown.apparent[:1200].max() == 0.0
+    assert flown.apparent[1300:1600].min() > 5.0
+    assert flown.apparent[1700:].max() == 0.0
 
 
 def test_a_slope_that_comes_and_goes_is_usual() -> None:

@@ -113,22 +113,22 @@ class InjectedResponse:
         points = np.array([(delay + lag, lag * lag) for lag in lags for delay in delays])
         yield
         for _ in range(2):  # The noise is that of the residual, which needs a model
-            best = points[np.argmin(_left(rows, points))]
+            best = points[np.argmin(_statistic(rows, points))]
             for row in rows:
                 row.weigh(best)
             yield
-        left = _left(rows, points)
-        point, least = points[left.argmin()], float(left.min())
+        values = _statistic(rows, points)
+        point, least = points[values.argmin()], float(values.min())
         free = np.array([True, len(lags) > 1])
         for _ in points:
             yield
-            ahead = _ahead(_moments(rows, point)[0], point, free)
-            then = _left(rows, ahead)
+            ahead = _gauss_newton(_moments(rows, point)[0], point, free)
+            then = _statistic(rows, ahead)
             if then[-1] >= least - ROUNDING:
                 break
             first = int(np.argmax(then < least))
             point, least = ahead[first], float(then[first])
-        return _judged(rows, point, free, least, left[np.abs(points[:, 0] - point[0]) > far])
+        return _estimated(rows, point, free, least, values[np.abs(points[:, 0] - point[0]) > far])
 
 
 class _Row:
@@ -166,7 +166,7 @@ class _Row:
         left = self._combined(point)[1][..., -1]
         self._weigh(_power(self._spectra, left[..., None])[:, 0, 0].real)
 
-    def left(self, points: FloatArray) -> FloatArray:
+    def statistic(self, points: FloatArray) -> FloatArray:
         """Return the chi-squared of residual times instruments at points (C, 2)."""
         inputs = np.tensordot(_response(points)[0], self._seen[..., self._inputs], 1).real
         others = self._seen[..., [*self._fixed, self._slope]].sum(axis=0).real
@@ -214,9 +214,9 @@ def _power(spectra: ComplexArray, maps: ComplexArray) -> ComplexArray:
     return np.asarray(maps.conj().swapaxes(1, 2) @ spectra @ maps)
 
 
-def _left(rows: Sequence[_Row], points: FloatArray) -> FloatArray:
+def _statistic(rows: Sequence[_Row], points: FloatArray) -> FloatArray:
     """Return the statistic of all rows at sums and squares (C, 2)."""
-    return np.asarray(np.sum([row.left(points) for row in rows], axis=0))
+    return np.asarray(np.sum([row.statistic(points) for row in rows], axis=0))
 
 
 def _moments(rows: Sequence[_Row], point: FloatArray) -> FloatArray:
@@ -232,7 +232,7 @@ def _response(points: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexAr
     return response, -1j * _OMEGA * response, -0.5 * _OMEGA**2 * follows * response
 
 
-def _ahead(moments: FloatArray, point: FloatArray, free: BoolArray) -> FloatArray:
+def _gauss_newton(moments: FloatArray, point: FloatArray, free: BoolArray) -> FloatArray:
     """Return points along a Gauss-Newton step, the farthest first; no lag is below zero."""
     step, info = np.zeros(2), moments[:2, :2] + ROUNDING * np.eye(2)
     step[free] = np.linalg.solve(info[free][:, free], moments[:2, 2][free])
@@ -242,7 +242,7 @@ def _ahead(moments: FloatArray, point: FloatArray, free: BoolArray) -> FloatArra
     return np.asarray(point + step * 0.5 ** np.arange(len(_SMOOTH))[:, None])
 
 
-def _judged(
+def _estimated(
     rows: Sequence[_Row],
     point: FloatArray,  # Sum and square of the least statistic
     free: BoolArray,  # (2,) Whether they were free

@@ -258,11 +258,11 @@ class Feedback:
         """
         at, past = self._inputs.start + i, np.arange(self._past.size)
         own = self._gusts.stop + i + len(INPUTS) * np.arange(ORDER)
-        new, left = (_left(covariance, at, by) for by in (own, np.append(own, past)))
+        new, left = (_unexplained(covariance, at, by) for by in (own, np.append(own, past)))
         return 1.0 - left / new if new > TINY else 0.0
 
 
-def _left(covariance: FloatArray, at: int, by: NDArray[np.intp]) -> float:
+def _unexplained(covariance: FloatArray, at: int, by: NDArray[np.intp]) -> float:
     """Return the variance of a signal that others leave unexplained."""
     matrix, across = covariance[np.ix_(by, by)], covariance[by, at]
     power = diagonal(matrix)
@@ -304,8 +304,8 @@ class Confirmation:
         self._now = 0.0  # Time since the start, s
         self._recent = [0.0] * len(ROWS)  # Evidence of the last `INDEPENDENT_TIME`
         # Squared residuals of that time, times dt: with the estimated effect, and with none
-        self._left: FloatArray = np.zeros((2, len(ROWS)))
-        self._left_time = 0.0
+        self._squares: FloatArray = np.zeros((2, len(ROWS)))
+        self._squares_time = 0.0
         self._moved = [-math.inf] * len(ROWS)  # Last time that reached the bound, s
         # Start of each turn of the surface, and the rest before it, s
         self._turns: list[deque[tuple[float, float]]] = [deque() for _ in ROWS]
@@ -330,10 +330,10 @@ class Confirmation:
         time = effect.shape[1] * white.dt
         self.fade(time, max_age)
         keep = math.exp(-time / INDEPENDENT_TIME)
-        self._left = keep * self._left + left * white.dt
-        self._left_time = keep * self._left_time + time
+        self._squares = keep * self._squares + left * white.dt
+        self._squares_time = keep * self._squares_time + time
         # The residual of the better hypothesis is noise, too, where it exceeds the usual noise.
-        noise = np.maximum(variance[: len(ROWS)], self._left.min(axis=0) / self._left_time)
+        noise = np.maximum(variance[: len(ROWS)], self._squares.min(axis=0) / self._squares_time)
         gain = left[1] - left[0]
         for i, (more, spread) in enumerate(zip(gain.tolist(), noise.tolist(), strict=True)):
             evidence = 0.5 * more / max(spread, NO_VARIANCE)

@@ -91,7 +91,7 @@ class ChangeDetector:
         # Of the tests in the last `WINDOW_TIME`: energy, power, standard deviations
         self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
         # Apparent changes of control derivatives, (3, 4), which noise leaves undecided
-        self.seeming: FloatArray = np.zeros((3, len(INPUTS)))
+        self.apparent: FloatArray = np.zeros((3, len(INPUTS)))
         # Usual slope of each when its apparent change began; infinite if there is none
         self._usual_before = np.full(len(self._row), np.inf)
 
@@ -155,17 +155,17 @@ class ChangeDetector:
         # A residual that another input explains better, even one of unknown effect, is no change.
         left = np.maximum(1.0 - explained, ROUNDING)
         rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
-        owed = len(residual) * np.log(left / rivals) > OUTLYING
+        excluded = len(residual) * np.log(left / rivals) > OUTLYING
         # A surface excited alone makes nearly all of its row: it has changed, not the row.
         surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
-        owed |= ~self._surfaces & (len(residual) * np.log(surface / left) <= DOUBTLESS**2)
+        excluded |= ~self._surfaces & (len(residual) * np.log(surface / left) <= DOUBTLESS**2)
         # The slope along an input that hardly moves is not informative.
         informative = noise < np.hypot(unsure, usual)
-        self._follow_seeming(
-            np.abs(size), unsure, np.maximum(usual, noise), sure & ~owed, informative
+        self._update_apparent(
+            np.abs(size), unsure, np.maximum(usual, noise), sure & ~excluded, informative
         )
         # More than all else together: an autopilot's answers to a storm explain up to 0.4.
-        explained = np.where(sure & ~owed & (explained >= 1.0 - explained), explained, 0.0)
+        explained = np.where(sure & ~excluded & (explained >= 1.0 - explained), explained, 0.0)
         changes = []
         for row in sorted({*self._row[explained > 0.0].tolist()}):
             best = int(np.where(self._row == row, explained, 0.0).argmax())
@@ -176,13 +176,13 @@ class ChangeDetector:
                 column, by, first = CONSTANT_COLUMN, step, passed
             after = Regression(signals[first:], window.rows, window.dt)
             changes.append(Change(row, column, float(by), after))
-            self.seeming[row] = 0.0
+            self.apparent[row] = 0.0
             self._usual_before[self._row == row] = np.inf
         if changes:
             self.restart()  # relative to the new coefficients the window contains the change
         return changes
 
-    def _follow_seeming(
+    def _update_apparent(
         self,
         size: FloatArray,
         unsure: FloatArray,
@@ -200,8 +200,8 @@ class ChangeDetector:
         still = size > CLEARED * np.hypot(unsure, before)
         self._usual_before[informative] = np.where(still, before, np.inf)[informative]
         informative, (row, column) = informative[self._surfaces], self._places
-        seeming = np.where(still, size, 0.0)[self._surfaces]
-        self.seeming[row[informative], column[informative]] = seeming[informative]
+        apparent = np.where(still, size, 0.0)[self._surfaces]
+        self.apparent[row[informative], column[informative]] = apparent[informative]
 
     def _usual(self) -> FloatArray:
         """Return the usual slope of each candidate, rms: model errors come and go.

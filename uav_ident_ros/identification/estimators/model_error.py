@@ -34,14 +34,12 @@ CLEARED = 0.5 * DOUBTLESS
 LOADING = 1e-4
 """Added to the information, relative to its diagonal: the input and its square are collinear. A
 factor of two hardly matters: of 30 flights with inputs 80 or 120 ms later than configured, the same
-rows are denied. Without it 12 of their 90 rows stay usable, and ten times as much hides a lag of 80
-ms."""
+rows are denied. Without it 12 of their 90 rows stay usable; ten times as much hides a lag of 80 ms.
+"""
 
 EXTRA = 3
-"""Number of additional regressors.
-
-The first and the last are tested one at a time: all three need longer than a cold start has.
-"""
+"""Number of additional regressors. The first and the last are tested one at a time: all three need
+longer than a cold start has."""
 
 _SATURATION, _LATENESS, _ATTENUATION = range(EXTRA)
 _BESIDE_LATENESS = (_SATURATION, _ATTENUATION)

@@ -235,7 +235,7 @@ class RecursiveRegression:
             self._since_sigma, self._settled_sigma = 0.0, sigma
             self.sigma = sigma.copy()
             inputs = self.sigma[: len(ROWS), INPUT_COLUMNS]
-            inputs[:] = np.hypot(inputs, self._detector.seeming)
+            inputs[:] = np.hypot(inputs, self._detector.apparent)
         self._linear = self._layout.matrix(solution.linear[0])
         self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
         self.coefficients = values
