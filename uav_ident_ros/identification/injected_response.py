@@ -106,7 +106,7 @@ class InjectedResponse:
         self,
         delays: FloatArray,  # Of the grid, s
         lags: Sequence[float],  # The same, s; a single one is known
-        far: float,  # Distance of sums for the rise, s
+        far: float,  # Distance of sums at which the rise is taken, s
     ) -> Generator[None, None, Found | None]:
         """Return, in steps, the delay and lag of the least statistic; None without information."""
         rows = [_Row(self._spectra, self.windows, axis) for axis in range(len(_AXES))]
