@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rate control on identified coefficients, to copy: NumPy and `uav_ident_ros.client`, no ROS.
 
-`allocate` gives inputs within their limits; `IncrementalLaw` and `InversionLaw` say which angular
-acceleration to ask for; `Response` and `Effectiveness` measure what the inputs really do;
-`AxisChoice` decides axis by axis whose control derivatives to fly on; `RateController` is all of it
-together.
+`allocate` distributes an angular acceleration over limited inputs. `IncrementalLaw` and
+`InversionLaw` are the control laws. `Response` and `Effectiveness` measure control effectiveness.
+`AxisChoice` selects the control derivatives of each axis. `RateController` combines these parts.
 """
 
 from uav_ident_ros.control.allocation import allocate

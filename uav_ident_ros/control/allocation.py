@@ -6,32 +6,32 @@ import numpy as np
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, MAIN_DERIVATIVES, FloatArray
 
 REST = 1e-3
-"""Weight of rest against reaching the wanted acceleration, both in shares of what full travel
-gives: it decides only between inputs that do the same."""
+"""Weight of small inputs relative to the acceleration error, both as shares of full travel. It
+decides only between inputs of equal effect."""
 
 AXES, MAINS = MAIN_DERIVATIVES[0], MAIN_DERIVATIVES[1] - INPUT_COLUMNS.start
-"""The axes, and the input that each has for itself: places of the main derivatives in B."""
+"""Rows and columns of the main control derivatives in B: each axis, and its own input."""
 
 
 def allocate(
     effect: FloatArray,  # (3, 4) Control derivatives, rad/s^2 per unit of each input
-    wanted: FloatArray,  # (3,) Angular acceleration that the inputs are to make, rad/s^2
-    # (2, 4) Least and largest of each input, 0 within; equal for one that is not to be used
+    wanted: FloatArray,  # (3,) Angular acceleration that the inputs must produce, rad/s^2
+    # (2, 4) Lower and upper limit of each input, around 0; equal for an input that is not used
     limits: FloatArray,
-    scale: FloatArray,  # (3,) What counts as one for each axis, rad/s^2; see `authority`
+    scale: FloatArray,  # (3,) Unit of the acceleration of each axis, rad/s^2; see `authority`
 ) -> FloatArray:
     """Return the inputs within their limits that come closest to the wanted acceleration.
 
-    Minimal is the sum of squares of ``w (effect u - wanted) / scale``, and of the inputs in shares
-    of their travel, with a small weight. So there is always one answer: an input without any
-    effect rests, and one at its limit leaves the rest to the others. An axis asks for no more than
-    its own input gives, and weighs w, what that is of what it could do in full health, its
-    `scale`. So an axis that has lost its surface, or is at its limit, cannot draw on another's.
+    They minimise the sum of squares of ``w (effect u - wanted) / scale``. The inputs, as shares of
+    their travel, enter with a small weight, so that the solution is unique: an input without effect
+    stays at zero. The wanted acceleration of an axis is clipped to what its own input can produce.
+    The weight w of an axis is that range over its nominal one, `scale`. An axis with a lost or
+    saturated surface therefore does not use the surface of another axis.
 
     Raises
     ------
     ValueError
-        If effect or acceleration are not finite: no inputs come closest.
+        If effect or acceleration are not finite.
     """
     if not (np.isfinite(effect).all() and np.isfinite(wanted).all()):
         raise ValueError("the control derivatives or the wanted acceleration are not finite")
@@ -40,7 +40,7 @@ def allocate(
     own = effect[AXES, MAINS]
     least, most = np.sort(own * limits[:, MAINS], axis=0)
     weight = np.minimum(1.0, 0.5 * (most - least) / scale) / scale
-    # in shares of travel: u = travel * s
+    # the unknowns are shares of travel, s: u = travel * s
     rows = np.vstack([weight[:, None] * effect * travel, REST * np.eye(len(low))])
 
     def solved(asked: FloatArray) -> FloatArray:
@@ -49,12 +49,12 @@ def allocate(
         return np.clip(travel * share, low, high)
 
     u = solved(np.clip(wanted, least, most))
-    by_others = effect @ u - own * u[MAINS]  # as they serve their own axes
+    by_others = effect @ u - own * u[MAINS]  # cross-axis effect of the other axes' inputs
     return solved(np.clip(wanted, least + by_others, most + by_others))
 
 
 def authority(effect: FloatArray, limits: FloatArray) -> FloatArray:
-    """Return what each axis can do with half of all travel, shape (3,), rad/s^2."""
+    """Return the angular acceleration of each axis for half of all travel, shape (3,), rad/s^2."""
     return np.asarray(0.5 * np.abs(effect) @ (limits[1] - limits[0]))
 
 
@@ -63,9 +63,9 @@ def bounded_least_squares(
 ) -> FloatArray:
     """Return the x within low and high that minimises ``|rows x - target|``; 0 must be within.
 
-    The primal active-set method: solve for the free unknowns; stop at the first bound in the way
-    and hold it; where none is, let go of the held one that pulls inwards most, or be done. With
-    independent columns each step lessens the sum and no set comes twice, so that it ends.
+    The primal active-set method solves for the free unknowns and stops at the first bound that is
+    reached, which becomes active. If none is reached, it releases the active bound with the largest
+    inward gradient, or ends. With independent columns each step reduces the sum, so that it ends.
     """
     x = np.zeros(len(low))
     held = np.zeros(len(low))  # -1 at low, +1 at high, 0 free

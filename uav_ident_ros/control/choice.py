@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose control derivatives to fly on, axis by axis: identified, last good or nominal.
+"""Selection of the control derivatives of each axis: identified, last good, nominal or measured.
 
-Three things keep a row of the newest set from being adopted, and the axis stays with what it has:
+A row of the newest identified set is not adopted, and the axis keeps its present row, if
 
-- the identifier's own word: the set is stale, or its verdict is against it, or the main
-  derivative of the row is not known;
-- it cannot be flown: next to nothing moves the axis, or many times more than the nominal set says;
-- it contradicts what the flight shows (`Effectiveness`): it would turn the sign of the axis, or
-  undo a change of its effect that was measured.
+- the set is stale, its verdict is not usable, or the main derivative of the row is not known;
+- the authority of the axis would be far below or above the nominal one (`FLYABLE`);
+- the row contradicts the measured control effectiveness (`Effectiveness`): it reverses the sign of
+  the axis, or undoes a measured change of its effect.
 
-A row takes seconds to be learned anew after a fault. Until then its main derivative is what is
-measured, once that has been surely another for longer than a gust lasts in the filter.
+After a fault, the identifier needs seconds to learn a row anew. Until then the measured main
+derivative is used, if it has differed significantly for longer than the filter keeps a gust.
 """
 
 from dataclasses import dataclass, replace
@@ -29,69 +28,69 @@ from uav_ident_ros.identification.structure import (
 )
 
 FLYABLE = (0.02, 10.0)
-"""Least and largest authority of an axis over the nominal one that is adopted. The least lies below
-what a surface's neighbours do: of the c172p's roll the rudder has a tenth, so that a lost
-aileron is adopted as what it is."""
+"""Least and largest authority, over the nominal one, at which a row is adopted. The least lies
+below the effect of the other surfaces: the c172p's rudder has a tenth of its roll authority, so
+that a lost aileron is adopted."""
 
 MEASURED_RANGE = (0.5, 2.0)
-"""Factors that are flown: a loop with a gain margin of two stands one that is wrong by that."""
+"""Range of the measured factor in use: a loop with a gain margin of two tolerates such an error."""
 
 NOTICEABLE = 0.2
-"""Change of the effect from which on it is told, and an identified row has to agree with it."""
+"""Change of the effect from which it is reported, and an identified row must agree with it."""
 
 SIGMAS = 3.0
-"""Standard deviations by which what is measured differs from what is flown on, all through
-`CORRELATION`, before it takes its place."""
+"""Standard deviations by which the measured effect must differ from the one in use, during all of
+`CORRELATION`, before it replaces it."""
 
 FADING = 3.0
-"""Time in which the standard deviation of what is flown on grows by itself again, s: gusts that
-were taken for another effect are seldom as clear a second time."""
+"""Time in which the standard deviation of the effect in use doubles, s. A gust that imitates a
+change of effect is seldom as significant a second time."""
 
 IDENTIFIED, LAST_GOOD, NOMINAL, MEASURED = "identified", "last good", "nominal", "measured"
 
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """Control derivatives to fly on."""
+    """Control derivatives in use."""
 
     values: FloatArray  # (3, 4) B, rad/s^2 per unit of de, dr, da, dth
     share: FloatArray  # (3,) Main derivatives of roll, pitch, yaw over the nominal ones
-    # (3,) Of each row: ``identified``, ``last good``, ``nominal`` or ``measured`` (its sign turned
-    # or its size changed by what the flight shows)
+    # (3,) Source of each row: ``identified``, ``last good``, ``nominal`` or ``measured`` (the sign
+    # or the size of its main derivative is a measured one)
     sources: tuple[str, ...]
-    reasons: tuple[str, ...]  # (3,) Why it is not the newest identified one; empty if it is
+    reasons: tuple[str, ...]  # (3,) Why a row is not the newest identified one; empty if it is
 
 
 def control_derivatives(coefficients: Coefficients | AttitudeModel) -> tuple[FloatArray, BoolArray]:
-    """Return B and which of its entries are known, shapes (3, 4)."""
+    """Return B and the mask of its known entries, shapes (3, 4)."""
     rows = slice(0, len(ROWS))
     return coefficients.values[rows, INPUT_COLUMNS], coefficients.known[rows, INPUT_COLUMNS]
 
 
 class AxisChoice:
-    """Keeps the control derivatives in use."""
+    """Selects the control derivatives in use, axis by axis."""
 
     def __init__(
         self,
-        source: CoefficientSource,  # Has the identified sets; its fallback does not matter here
-        nominal: Coefficients,  # The author's own set, to start with
-        limits: FloatArray,  # (2, 4) Of the inputs
-        adaptive: bool = True,  # Whether to leave the nominal set at all
+        source: CoefficientSource,  # Source of the identified sets; its fallback is not used
+        nominal: Coefficients,  # The author's own set, in use at the start
+        limits: FloatArray,  # (2, 4) Limits of the inputs
+        adaptive: bool = True,  # Whether to use anything but the nominal set
     ) -> None:
         self._source, self._limits, self._adaptive = source, limits, adaptive
         self.nominal = control_derivatives(nominal)[0]  # (3, 4)
-        self._rows = self.nominal.copy()  # those adopted; their main derivatives as flown on:
+        self._rows = self.nominal.copy()  # rows adopted, and the main derivatives in use
         self._main = self._rows[AXES, MAINS]
-        # of those that are measured, over the nominal ones, and when it was found, ns
+        # sigma of a measured main derivative over the nominal one, and its message time, ns
         self._sigma, self._measured_ns = np.zeros(len(ROWS)), np.zeros(len(ROWS), dtype=np.int64)
-        # (3,) Worth of each axis for `allocate`: its nominal authority, rad/s^2
+        # (3,) Nominal authority of each axis, rad/s^2, the scale of `allocate`
         self.scale = authority(self.nominal, limits)
-        # What the aircraft does by itself, for `Response`: every estimate of the rows in use,
-        # however uncertain, as a coefficient that is left out is wrong for sure
+        # Model of the motion without inputs, for `Response`: all estimates of the rows in use, even
+        # uncertain ones, since zero would be a larger error
         self.model = AttitudeModel(nominal.structure, nominal.values, nominal.structure.mask)
         self._agreed_ns = np.full(len(ROWS), np.iinfo(np.int64).max)
         self._sources = [NOMINAL] * len(ROWS)
-        # Inputs that were turned, until their own axes are learned anew: turned for the others, too
+        # Inputs whose sign is reversed, on every axis, until their own axis is learned anew
         self._turned = np.zeros(len(INPUTS), dtype=bool)
         self._seen: Coefficients | None = None
         self._reasons = [""] * len(ROWS)
@@ -99,12 +98,12 @@ class AxisChoice:
     def update(
         self,
         t_ns: int,
-        # Measured with the nominal values; told of those that change their sign
+        # Relative to the nominal values; restarted for an axis whose sign is reversed
         measured: Effectiveness,
     ) -> Effect:
-        """Return what to fly on at message time `t_ns`, ns."""
+        """Return the control derivatives to use at message time `t_ns`, ns."""
         if self._adaptive:
-            # an aircraft that rolls on and on moves its other axes as no linear model tells
+            # without roll control the linear model does not hold for pitch and yaw
             certain = (np.arange(len(ROWS)) == 0) | ~measured.dead[0]
             self._adopt(t_ns, measured)
             self._turn(measured, certain)
@@ -118,18 +117,18 @@ class AxisChoice:
 
     @property
     def measured_by(self) -> FloatArray:
-        """B to measure with, (3, 4): each axis's own input as nominal, the others as adopted."""
+        """Reference B of the measurement, (3, 4): nominal main derivatives, adopted cross ones."""
         values = self._rows.copy()
         values[AXES, MAINS] = self.nominal[AXES, MAINS]
         return values
 
     def forget_measured(self) -> None:
-        """Go back to the rows as adopted: what was measured was measured with a wrong delay."""
+        """Return to the adopted main derivatives, after a measurement with a wrong delay."""
         self._main = self._rows[AXES, MAINS]
 
     def _adopt(self, t_ns: int, measured: Effectiveness) -> None:
         newest = self._source.newest(t_ns)
-        fresh = None if newest is self._seen else newest  # any other was weighed when it came
+        fresh = None if newest is self._seen else newest  # each set is judged once
         self._seen = newest
         adopted = []
         for i in range(len(ROWS)):
@@ -152,7 +151,7 @@ class AxisChoice:
             self._follow(fresh, adopted)
 
     def _follow(self, newest: Coefficients, adopted: list[int]) -> None:
-        """Let the model have the rows that were adopted, with the forces that go with them."""
+        """Copy the adopted rows, and the rows of the specific forces, to the model."""
         if newest.structure.name != self.model.structure.name:
             self.model = AttitudeModel(newest.structure, newest.values, newest.known)
         values = self.model.values.copy()
@@ -163,7 +162,7 @@ class AxisChoice:
 
     @property
     def _flown(self) -> FloatArray:
-        """Main derivatives flown on over those adopted, (3,): 1 where nothing else was measured."""
+        """Main derivatives in use over the adopted ones, (3,): 1 unless a measured one is used."""
         return _over(self._main, self._rows[AXES, MAINS])
 
     @property
@@ -171,7 +170,7 @@ class AxisChoice:
         return np.asarray(np.abs(self._flown - 1.0) > NOTICEABLE)
 
     def _against(self, i: int, found: FloatArray, known: bool, measured: Effectiveness) -> str:
-        """Why a row is not adopted; empty if it is."""
+        """Return the reason not to adopt a row; empty if there is none."""
         row = ROWS[i]
         if not known:
             return f"the main derivative of {row} is not known"
@@ -186,28 +185,28 @@ class AxisChoice:
         return ""
 
     def _turn(self, measured: Effectiveness, certain: BoolArray) -> None:
-        """Turn the sign of an input that acts the wrong way, on all that it moves."""
+        """Reverse the sign of an input that acts the wrong way, on all axes."""
         for i in np.flatnonzero(measured.reversed & certain):
             self._turn_axis(i, MEASURED)
             measured.changed(int(i))
-        # What does nothing has no sign: a surface that jams makes one jerk the wrong way. With the
-        # sign of before the loop is right when it comes free.
+        # A jamming surface causes one jerk of the wrong sign, but a surface without effect has no
+        # sign. With the former sign the loop is right when it comes free.
         for i in np.flatnonzero(measured.dead & self._turned[MAINS] & certain):
             self._turn_axis(i, LAST_GOOD)
 
     def _turn_axis(self, i: np.intp, source: str) -> None:
-        """Turn the sign of the input of an axis; twice is as before."""
+        """Reverse the sign of the input of an axis."""
         self._rows[:, MAINS[i]] = -self._rows[:, MAINS[i]]
         self._turned[MAINS[i]] = not self._turned[MAINS[i]]
         self._main[i], self._sources[i] = self._rows[i, MAINS[i]], source
 
     def _scale(self, t_ns: int, measured: Effectiveness, certain: BoolArray) -> None:
-        """Fly on what is measured where it has surely been another for long enough."""
+        """Use the measured main derivative where it has differed significantly for long enough."""
         nominal, rows = self.nominal[AXES, MAINS], self._rows[AXES, MAINS]
         size = np.abs(nominal)
-        # what breaks does less: more than believed needs twice the evidence
+        # faults reduce the effect: an increase needs twice the significance
         twice = 2.0 * SIGMAS
-        # a loop that rings on too little believed effect shows it by its own motion
+        # too small an effect in use makes the loop oscillate, which the moved inputs reveal
         shown = (measured.moved - twice * measured.moved_sigma) * size
         rings = (self._flown < 1.0) & (np.abs(self._main) < shown)
         found = measured.factor * nominal
@@ -215,10 +214,10 @@ class AxisChoice:
         least = np.where(more, twice, SIGMAS) * measured.sigma * size
         away = (np.abs(found - self._main) > least) | rings
         self._agreed_ns = np.where(away & certain, self._agreed_ns, t_ns)
-        # without flow angles in the model, what they do would be taken for the inputs'
+        # without flow angles in the model, their effect would be attributed to the inputs
         can = certain & self.model.structure.has_flow
         surely = can & (t_ns - self._agreed_ns > CORRELATION * 1e9)
-        # once it is another, the question is how much it is: the surest measurement says it
+        # after a significant change, the measurement with the smallest sigma is used
         faded = self._sigma * (1.0 + np.maximum(t_ns - self._measured_ns, 0) * 1e-9 / FADING)
         surer = can & ~surely & self._rescaled & (measured.since_sigma <= faded)
         measured.begin(surely)
@@ -234,5 +233,5 @@ class AxisChoice:
 
 
 def _over(values: FloatArray, of: FloatArray) -> FloatArray:
-    """Return the quotient; 1 where there is nothing to be a share of."""
+    """Return the quotient of two arrays; 1 where the divisor is zero."""
     return np.asarray(np.where(of != 0.0, values / np.where(of != 0.0, of, 1.0), 1.0))

@@ -17,30 +17,30 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 Law = type[IncrementalLaw] | type[InversionLaw]
 
 LONGEST_HOLD = 1.0
-"""Gap of the Imu through which the last inputs are taken to act on, s: they hold what is out of
-trim. After a longer one nobody knows who flew the aircraft."""
+"""Longest gap of the Imu during which the last inputs are assumed to act, s: they hold the trim.
+After a longer gap another controller may have flown the aircraft."""
 
 LAWS: dict[str, Law] = {"incremental": IncrementalLaw, "inversion": InversionLaw}
-"""How the wanted angular acceleration becomes inputs, by name."""
+"""Control laws, by name."""
 
 
 class RateController:
-    """Everything between a gyro sample and the inputs that answer it."""
+    """Adaptive rate controller: from a gyro sample to the inputs."""
 
     def __init__(
         self,
-        # Takes the messages; `Fallback.LAST_GOOD` or `NOMINAL`, with the nominal set
+        # Source of the identified sets; `Fallback.LAST_GOOD` or `NOMINAL`, with the nominal set
         source: CoefficientSource,
         nominal: Coefficients,  # The author's own set
-        # (2, 4) Least and largest de, dr, da, dth, deviations from trim; the throttle is not used
+        # (2, 4) Lower and upper limits of de, dr, da, dth from trim; the throttle is not used
         limits: FloatArray,
-        # From a sample's stamp to the surface that its command moves, s; adaptive, the delay that
-        # the flight shows takes its place
+        # Delay from a sample's stamp to the motion of the surface, s; an adaptive controller
+        # replaces it by the measured delay
         delay: float,
         law: Law = IncrementalLaw,
-        # Whether to act on what is identified and measured, or on the nominal set for ever
+        # Whether to use identified and measured derivatives, or always the nominal set
         adaptive: bool = True,
-        gains: Gains | None = None,  # Of the law; its own by default
+        gains: Gains | None = None,  # Gains of the law; its defaults if None
     ) -> None:
         self._limits = limits
         limits = np.array(limits, dtype=np.float64)
@@ -50,11 +50,11 @@ class RateController:
         self._adaptive, self._yaw_for_roll = adaptive, yaw_for_roll(nominal)
         self._last_ns = 0
         self._rolled_over = False
-        self._newest = np.zeros(4)  # Inputs that were last asked for: they act through a gap
+        self._newest = np.zeros(4)  # Inputs of the last command, which act during a gap
         self._response = Response()
-        # What the inputs really do, and when
+        # Measured control effectiveness and delay of the inputs
         self.effectiveness, self.delay = Effectiveness(), DelayMeter(delay)
-        # Control derivatives flown on, and where they are from
+        # Control derivatives in use, and their sources
         self.effect: Effect = self._choice.update(0, self.effectiveness)
         self._law = law(limits, self._choice.scale, gains or law.gains)
 
@@ -66,8 +66,8 @@ class RateController:
     ) -> FloatArray:
         """Return de, dr, da, dth, deviations from trim.
 
-        A sample or a reference that is not finite leaves them where they are: a single one would
-        stay in the filters for ever.
+        A sample or a reference that is not finite leaves them unchanged: it would stay in the
+        filters for ever.
         """
         if not (np.isfinite(x).all() and np.isfinite(reference).all()):
             return self._newest
@@ -92,7 +92,7 @@ class RateController:
         return self._sent(t_ns, u)
 
     def _must_sideslip(self, t_ns: int, x: FloatArray) -> bool:
-        """Whether an aircraft without ailerons has to be kept from rolling over, once it would."""
+        """Whether to roll by sideslip: from a predicted roll-over until the ailerons work again."""
         dead = self.effectiveness.dead[0] and self.effect.sources[0] != IDENTIFIED
         if not (dead and self._adaptive):
             self._rolled_over = False
@@ -106,7 +106,7 @@ class RateController:
         return self._rolled_over
 
     def _measure(self, before_ns: int, dt: float, x: FloatArray) -> None:
-        """Learn from the `dt` seconds since the last sample what the inputs do, and when."""
+        """Update the measured effectiveness and delay by the `dt` s since the last sample."""
         inputs = np.array([self._acting(before_ns, delay) for delay in self.delay.delays])
         led = self._references.at(before_ns - round(self.delay.delay * 1e9))
         answer, choice = self._response, self._choice
@@ -128,14 +128,14 @@ class RateController:
         )
 
     def _acting(self, t_ns: int, delay: float) -> FloatArray:
-        """Return the inputs that act from `t_ns` on until the next sample's, shape (4,)."""
+        """Return the inputs that act from `t_ns` until the next sample, shape (4,)."""
         u = self._commands.at(t_ns - round(1e9 * delay))
         return np.zeros(4) if u is None else u
 
     def inject(self, t_ns: int, u: FloatArray, excitation: FloatArray) -> FloatArray:
-        """Return the inputs `u` of `t_ns` with an excitation on top, within the limits.
+        """Return the inputs `u` of `t_ns` plus an excitation, within the limits.
 
-        The law is told: what is injected is no disturbance.
+        The law receives the sum, so that the excitation is no disturbance.
         """
         if not excitation.any():
             return u

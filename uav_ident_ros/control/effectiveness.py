@@ -1,27 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the inputs really do, measured in flight: a factor on the main derivative of each axis.
+"""Control effectiveness, measured in flight: a factor g on the main derivative of each axis.
 
-What the aircraft answers is compared with what its own input should have made (`Response`):
+The measured jerk is compared with the jerk that the axis's own input should produce (`Response`):
 
     answered = g made + rest
 
-g = 1 is an effect as believed, 0 a lost one, -1 a reversed one. In a closed loop the inputs answer
-the rest, gusts and gyro noise, so that least squares is pulled away. The instrument is what the
-reference asks for, which no gust moves: g = sum(asked answered) / sum(asked made). Its standard
-deviation takes the rest as it comes, with the correlation of neighbouring samples: as it was while
-something was asked, at any time, or before, whichever is most. A single turn explains itself too
-well.
+g = 1 is the assumed effect, 0 a lost one, -1 a reversed one. Feedback correlates the inputs with
+the rest, gusts and gyro noise, which biases least squares. The instrument is the jerk that the
+reference demands, which no gust moves: g = sum(demanded answered) / sum(demanded made). Its sigma
+follows from the autocovariance of the rest. The largest of three estimates counts: while something
+was demanded, over the window, and over the time before. A single manoeuvre fits itself too well.
 
-What was measured before a change must not count after it. So the sums run over the last two
-seconds, which tell that there was one, and from there on, which tell how much it is.
+Measurements before a change must not count after it. One set of sums therefore runs over the last
+two seconds and detects a change; another runs from the change on and measures its size.
 
-Least squares has a use of its own: a loop that rings, as on an effect believed too small, moves its
-inputs so much that the rest does not matter, while the reference asks for nothing.
+Least squares serves where the loop oscillates, as with too small an assumed effect. The inputs
+then move so much that the bias is small, while the reference demands nothing.
 
-A reversed or a lost effect leaves no second or two: an aileron turns an aircraft over in one and a
-half. For these the hypotheses g = 1 and -1, and g = 1/2 and 0, are compared sample by sample, by
-the cumulative sum of their log-likelihood ratio (Page's test), which keeps nothing of the time
-when all was well.
+A reversed or lost effect needs a faster test: a lost aileron rolls an aircraft over in 1.5 s. The
+hypotheses g = 1 and -1, and g = 1/2 and 0, are compared at each sample by the cumulative sum of
+their log-likelihood ratio (Page's test). The sum is bounded below by zero, so that the time without
+a fault does not delay the detection.
 
 Instrumental variables in a closed loop: T. Söderström, P. Stoica, "System Identification",
 Prentice Hall, 1989, chapters 8 and 10; the standard deviation: W. K. Newey, K. D. West, "A simple,
@@ -37,56 +36,56 @@ from uav_ident_ros.control.response import BANDWIDTH
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 WINDOW = 2.0
-"""Time over which a change is looked for, s. With 1.5 s gusts are taken for one half as often
-again; with 2.5 s the median flight waits a quarter of a second longer."""
+"""Window in which a change is detected, s. With 1.5 s, false alarms by gusts are half as many
+again; with 2.5 s the median flight waits 0.25 s longer."""
 
 PERIOD = 0.05
-"""Time between two looks, s: short beside it."""
+"""Time between two evaluations, s: short relative to the window."""
 
 CORRELATION = 0.3
-"""Time over which what is not explained counts as the same, s: as long as the filter remembers a
-gust, four and a half of its time constants."""
+"""Correlation time of the rest, s: a gust decays in the filter within four and a half of its time
+constants."""
 
 REST_MEMORY = 40.0
-"""Time over which the mean of what is not explained is taken, s: long beside the window, in which a
-change must not hide itself."""
+"""Averaging time of the power of the rest, s: long relative to the window, so that a change does
+not raise it at once."""
 
 NOISE_MEMORY = 3.0
 """Time over which the noise of the jerk is averaged, s: longer than a divergence lasts."""
 
 OUTLIER = 3.0
-"""Standard deviations of the noise beyond which a sample does not count as noise: the jerk of an
-aileron that jams would hide for seconds that nothing answers it."""
+"""Standard deviations of the noise at which the residual of a sample is limited: otherwise the jerk
+of a jamming aileron would mask the lost effect for seconds."""
 
 LEAST_TIME = 0.7
-"""Time from which on the noise of the jerk is known, s: five samples that count."""
+"""Time after which the noise of the jerk is known, s: five independent samples."""
 
 LEAST_SIGMA = 0.1
-"""Standard deviation of g that is believed at best: B is no constant."""
+"""Lower bound of the standard deviation of g: B is not constant."""
 
 SURE = 22.0
-"""Log-likelihood ratio from which on an effect is reversed or lost. On the c172p, severe gusts that
-begin at once (6 of 7) reach 8 for 'reversed', an aileron that loses half of its effect 7; a
+"""Log-likelihood ratio from which an effect counts as reversed or lost. On the c172p, a sudden
+onset of severe gusts (6 of 7) reaches 8 for 'reversed', an aileron with half of its effect 7; a
 reversed one passes it in a tenth of a second."""
 
 LEAST_DOUBT = 0.1
-"""Time that it takes at least, s. A load that shifts turns the aircraft one way while the inputs
-already go the other, for as long as the filter remembers."""
+"""Shortest time to reach `SURE`, s. A shifting load turns the aircraft one way while the inputs
+already move the other way, for as long as the filter keeps it."""
 
 HYPOTHESES = np.array([[1.0], [0.5]]), np.array([[-1.0], [0.0]])
-"""Factors as believed, and of a reversed and a lost effect. Half of it is a weak effect, no lost
-one."""
+"""Factors of the null hypotheses, and of their alternatives 'reversed' and 'lost'. Half of the
+effect is weak, not lost."""
 
 UNKNOWN = 1e3
-"""Standard deviation of g where nothing was measured."""
+"""Standard deviation of g before any measurement."""
 
 LOOKS = round(WINDOW / PERIOD)
 SHAPES = (2, 2, 3), (2, 2, 3, 3), (1, 3), (1, 3)
-"""Looks of a window; of each sample, by axis last: answered and made, by what was asked and by what
-was made; their products with those of the last samples, by these and 1; asked^2; 1."""
+"""Evaluations in a window, and shapes of the integrals, axes last: answered and made times demanded
+and made; their autocovariances, times demanded, 1 and made; demanded^2; 1."""
 
 PLACES = np.cumsum([int(np.prod(shape[:-1])) for shape in SHAPES])
-"""Rows up to the end of each, in the integrals."""
+"""End row of each of them in the array of integrals."""
 
 
 class Effectiveness:
@@ -96,13 +95,13 @@ class Effectiveness:
         self.restart()
 
     def restart(self) -> None:
-        """Forget everything."""
-        # z answered and z made of each axis over the last samples, z what was asked for, 1, or made
+        """Discard all measurements."""
+        # Fading sums of z answered and z made, for z = demanded, 1 and made, of each axis
         self._near = np.zeros((2, 3, 3))
-        # What is not explained, over the last samples, and its mean power, (rad/s^3)^2 s
+        # Fading sum of the rest, and its mean power, (rad/s^3)^2 s
         self._near_rest, self._rest = np.zeros(3), np.zeros(3)
-        # Integrals (`SHAPES`), with the mean rest in the last row: now, at the looks of the window
-        # (the oldest of them is the next to be replaced), and when the last change began
+        # Integrals (`SHAPES`), with the power of the rest in the last row: now, at the evaluations
+        # of the window (a ring buffer), and at the begin of the last change
         self._total = np.zeros((PLACES[-1] + 1, 3))
         self._looks, self._oldest = np.zeros((LOOKS, *self._total.shape)), 0
         self._start = np.zeros_like(self._total)
@@ -110,20 +109,20 @@ class Effectiveness:
         self._age = self._since_look = 0.0
         # g of roll, pitch, yaw over the window, and its standard deviation, (3,)
         self.factor, self.sigma = np.ones(3), np.full(3, UNKNOWN)
-        # The same over all the time since the last change began
+        # The same since the begin of the last change
         self.since, self.since_sigma = np.ones(3), np.full(3, UNKNOWN)
-        # The same over the window by least squares, whatever moved the inputs
+        # The same over the window by least squares, for any cause of the inputs' motion
         self.moved, self.moved_sigma = np.ones(3), np.full(3, UNKNOWN)
-        # Axes whose inputs surely did nothing when they last moved, (3,)
+        # Axes whose inputs had no effect when they last moved, (3,)
         self.dead: BoolArray = np.zeros(3, dtype=bool)
 
     @property
     def reversed(self) -> BoolArray:
-        """Axes whose inputs surely act the other way than believed, shape (3,)."""
+        """Axes whose inputs act with the sign opposite to that in use, shape (3,)."""
         return np.asarray(self._doubt[0] >= SURE)
 
     def changed(self, axis: int) -> None:
-        """Go on after an axis's inputs do something else: nothing of it is known any more."""
+        """Discard the measurements of an axis, after a change of its inputs."""
         integrals = (part[..., : PLACES[-1], :] for part in (self._total, self._looks, self._start))
         for part in (self._near, self._near_rest, self._doubt, *integrals):
             part[..., axis] = 0.0
@@ -132,7 +131,7 @@ class Effectiveness:
         self.dead[axis] = False
 
     def begin(self, axes: BoolArray) -> None:
-        """Note that the effects of some axes, (3,), changed when the window began, or before."""
+        """Restart the sums since the change at the begin of the window, for some axes, (3,)."""
         self._start[:, axes] = self._looks[self._oldest][:, axes]
         self.since[axes], self.since_sigma[axes] = self.factor[axes], self.sigma[axes]
 
@@ -141,14 +140,14 @@ class Effectiveness:
         answered: FloatArray,  # answered, made: (3,) As in `Response`, rad/s^3
         made: FloatArray,
         dt: float,  # Time since the last sample, s
-        # (3,) As in `Response`. Where nobody asked, what was made stands for it: least squares
+        # (3,) As in `Response`. If None, `made` is the instrument: least squares
         demanded: FloatArray | None = None,
-        # (3,) Factors that are flown on: which way the inputs should act
+        # (3,) Factors in use, relative to `made`
         believed: FloatArray | float = 1.0,
-        # What was answered to the inputs, and made by them, if others may act now: by another delay
+        # answered and made for another delay, if it explains the flight better
         rival: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
-        """Take one sample."""
+        """Add one sample."""
         demanded = made if demanded is None else demanded
         instruments = np.stack([demanded, np.ones_like(demanded), made])
         sample = np.stack([answered, made])[:, None] * instruments
@@ -181,7 +180,7 @@ class Effectiveness:
         dt: float,
         rival: tuple[FloatArray, FloatArray] | None,
     ) -> None:
-        """Weigh 'reversed' against 'as believed', and 'lost' against half of it, by one sample."""
+        """Update the likelihood ratios of 'reversed' and 'lost' by one sample."""
         believed, instead = HYPOTHESES
         rest = np.minimum((answered - made) ** 2, (answered - instead * made) ** 2)
         if self._age >= LEAST_TIME:
@@ -189,10 +188,10 @@ class Effectiveness:
         self._noise = self._noise + min(1.0, dt / NOISE_MEMORY) * (rest - self._noise)
         if self._age < LEAST_TIME:
             return
-        # what is larger than any says, as the jerk of a surface that breaks, tells nothing
+        # a jerk beyond all hypotheses, as of a breaking surface, is no evidence for any
         clipped = np.clip(answered, -2.0 * np.abs(made), 2.0 * np.abs(made))
         plain = (clipped - believed * made) ** 2
-        if rival is not None:  # nothing is wrong with the inputs that another delay explains
+        if rival is not None:  # another delay may explain the residual instead of a fault
             plain = np.minimum(plain, (rival[0] - rival[1]) ** 2)
         ratio = plain - (clipped - instead * made) ** 2
         step = BANDWIDTH / 2.0 * ratio / (2.0 * np.maximum(self._noise, 1e-12))
@@ -202,7 +201,7 @@ class Effectiveness:
         self.dead = np.where(self.dead, lost > 0.0, lost >= SURE)
 
     def _look(self) -> None:
-        """Find g and its sigma over the window and since the last change."""
+        """Compute g and its sigma over the window and since the last change."""
         self._total[-1] = self._rest
         before = self._looks[self._oldest]
         (self.factor, self.moved), (self.sigma, self.moved_sigma) = self._solved(before)
@@ -211,7 +210,7 @@ class Effectiveness:
         self._oldest = (self._oldest + 1) % LOOKS
 
     def _solved(self, before: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return g by the instrument and by least squares, and sigma, since these integrals."""
+        """Return g by the instrument and by least squares, and their sigmas, since `before`."""
         parts = np.split(self._total[:-1] - before[:-1], PLACES[:-1])
         sums, products, (demanded,), (time,) = (
             part.reshape(shape) for part, shape in zip(parts, SHAPES, strict=True)

@@ -3,12 +3,12 @@
 
     u = B^-1 (reference' + K (reference - x) - d - A f(x, 0))
 
-d is what the model does not explain: trim, gusts, the flow angles, an error of A or B. An observer
-finds it from the rates and the commands that act by now, without differentiating::
+d is the disturbance: trim, gusts, the flow angles, errors of A and B. An observer estimates it from
+the rates and the delayed commands, without differentiating::
 
     xhat' = A f(x, u) + d + 2 w (x - xhat)        d' = w^2 (x - xhat)
 
-So the loop has integral action and is slow, not lost, while the model is wrong.
+The loop thus has integral action: a wrong model makes it slow, not unstable.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from uav_ident_ros.control.reference import Gains, ReferenceModel
 from uav_ident_ros.identification.structure import FloatArray
 
 GAINS = Gains(rate=(5.0, 4.0, 2.0), bandwidth=8.0)
-"""For a light aircraft at 100 Hz, 20 ms from sample to surface."""
+"""Gains for a light aircraft at 100 Hz with a delay of 20 ms."""
 
 OBSERVER = np.array([1.0, 1.0, 0.5])
 """Bandwidth of the observer by axis, over that of the gains: yaw is the slower loop."""
@@ -38,7 +38,7 @@ class InversionLaw:
     def restart(
         self, model: AttitudeModel, effect: FloatArray, x: FloatArray, reference: FloatArray
     ) -> None:
-        """Forget the past: the first sample, or one after a gap."""
+        """Reset the observer at the first sample, or after a gap."""
         self._model, self._effect = model, effect
         self._xhat, self._disturbance = x, np.zeros(3)
         self._reference = ReferenceModel(self.gains, reference)
@@ -55,7 +55,7 @@ class InversionLaw:
         """Return de, dr, da, dth; parameters as of `IncrementalLaw.update`, and the model."""
         by_itself = without_flow(model, x)
         known = by_itself + effect @ acting
-        # a new model explains more or less of what goes on: no bump in the sum of both
+        # bumpless transfer to a new model: the sum of model and disturbance stays
         before = without_flow(self._model, x) + self._effect @ acting
         self._disturbance = self._disturbance + before - known
         self._model, self._effect = model, effect
@@ -67,9 +67,9 @@ class InversionLaw:
 
 
 def without_flow(model: AttitudeModel, x: FloatArray) -> FloatArray:
-    """Angular acceleration without inputs, shape (3,), at flow angles of zero.
+    """Return the angular acceleration at zero inputs and flow angles, shape (3,).
 
-    Theirs is left to the observer.
+    The observer estimates the effect of the flow angles.
     """
     state = np.append(x, (0.0, 0.0)) if model.structure.has_flow else x
     return model.acceleration(state, np.zeros(4))

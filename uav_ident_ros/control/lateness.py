@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The delay from command to surface that a flight shows, where it was told wrongly.
+"""Estimate of the transport delay from command to surface, in closed loop.
 
-Incremental inversion adds to the inputs that made the measured acceleration. If they are not
-those, because the delay is another than was told, the loop rings: at 20 rad/s, 40 ms turn what
-the inputs did by 0.8 rad. It is measured as the effect is (`effectiveness`): the jerk is
-compared with what the inputs should have made,
+Incremental inversion needs the inputs that caused the measured acceleration. With a wrong delay the
+loop oscillates: at 20 rad/s, 40 ms are a phase error of 0.8 rad. As in `effectiveness`, the jerk is
+compared with the jerk that the inputs should produce,
 
     jerk_f = g (B u(t - delay))'_f + d xdot_f
 
-for some delays at a time, each with the g and d of each axis that suit it best. The delay with the
-least residuals is believed once it is surely likelier than the present one. Shorter ones than was
-told are compared, too: otherwise a delay that is a whole turn later would explain a loop that rings
-because its inputs act sooner than believed. None is shorter than 20 ms, but one that was told: gyro
-noise that the inputs answer looks like an effect without any delay.
+for a bank of delays, each with the best g and d of each axis. The delay with the least residuals
+replaces the delay in use if their likelihood ratio is large enough. The bank has shorter delays
+than the configured one, too: otherwise a delay longer by a period would explain an oscillation
+with too long a configured delay. Delays below 20 ms are left out, unless configured: inputs that
+respond to gyro noise look like an effect without delay.
 """
 
 import numpy as np
@@ -21,53 +20,53 @@ from uav_ident_ros.control.response import BANDWIDTH
 from uav_ident_ros.identification.structure import FloatArray
 
 STEP = 0.01
-"""Between the delays that are compared, s: at 15 rad/s a turn by 0.15 rad, two percent of g."""
+"""Spacing of the bank of delays, s: at 15 rad/s a phase of 0.15 rad, two percent of g."""
 
 LATEST = 0.08
-"""Largest delay beyond the told one, s: half a turn at 40 rad/s, faster than any of the laws."""
+"""Largest delay beyond the configured one, s: half a period at 40 rad/s, beyond all laws."""
 
 SOONEST = 0.02
-"""Shortest delay that is compared if a longer one was told, s: gyro noise looks like none."""
+"""Shortest delay of the bank below the configured one, s: gyro noise looks like no delay."""
 
 MEMORY = 5.0
-"""Time in which the weight of what was measured falls to 1 / e, s: a delay is no fault that comes
-at once, but one that makes the loop ring has to be found before the aircraft is lost."""
+"""Time constant of forgetting, s. A delay seldom changes in flight, but a wrong one must be found
+before the oscillation grows too large."""
 
 DOUBT, SURE = 2.0, 10.0
-"""Log-likelihood ratios from which on another delay puts the believed one in doubt, odds of 7 to 1,
-and takes its place, of 22,000 to 1: neighbouring samples tell more of the same than is counted."""
+"""Log-likelihood ratios from which another delay is a rival of the one in use, odds of 7 to 1, and
+replaces it, of 22,000 to 1: neighbouring samples correlate more than is accounted for."""
 
 PERIOD = 0.05
-"""Time between comparisons, s: short beside the memory."""
+"""Time between comparisons, s: short relative to the memory."""
 
 NOTHING = 1e-12
-"""Residuals over the jerk's square that count as none."""
+"""Lower bound of the residual power over that of the jerk."""
 
 
 class DelayMeter:
-    """Delay from a sample to the surface that its command moves, as measured."""
+    """Estimator of the delay from a sample to the motion of the surface."""
 
     def __init__(
         self,
-        assumed: float,  # What was told, s, to start with
+        assumed: float,  # The configured delay, s, in use at the start
     ) -> None:
         steps, sooner = round(LATEST / STEP), max(0, round((assumed - SOONEST) / STEP))
-        self.delays = assumed + STEP * np.arange(-sooner, steps + 1)  # (n,) Compared, s
-        self.believed = sooner  # Which of them it is
+        self.delays = assumed + STEP * np.arange(-sooner, steps + 1)  # (n,) The bank, s
+        self.believed = sooner  # Index of the delay in use
         self.restart()
 
     @property
     def delay(self) -> float:
-        """The one that is believed, s."""
+        """The delay in use, s."""
         return float(self.delays[self.believed])
 
     def restart(self) -> None:
-        """Forget what was measured, but not what is believed."""
-        # Of each delay and axis the products of made, xdot and answered with one another, summed up
+        """Discard the measurements; the delay in use stays."""
+        # Sums of the products of made, xdot and answered, for each delay and axis
         self._products = np.zeros((len(self.delays), 3, 3, 3))
         self._weight = self._since = 0.0
-        # Another delay that explains the flight better, counted, if not surely: then what looks
-        # like another effect of the inputs may be the delay's
+        # Index of a delay that is likelier, but not significantly: an apparent change of
+        # effectiveness may be due to it
         self.rival: int | None = None
 
     def update(
@@ -77,7 +76,7 @@ class DelayMeter:
         acceleration: FloatArray,  # (3,) The same
         dt: float,  # Time since the last sample, s
     ) -> bool:
-        """Take one sample; return whether another delay is believed from now on."""
+        """Add one sample; return whether the delay in use has changed."""
         f = np.stack([made, np.broadcast_to(acceleration, made.shape), answered], axis=-1)
         keep = np.exp(-dt / MEMORY)
         self._products = keep * self._products + dt * f[..., :, None] * f[..., None, :]
@@ -95,11 +94,11 @@ class DelayMeter:
         return bool(lead > SURE)
 
     def likelihood(self) -> FloatArray:
-        """Return the log-likelihood of each delay but for a constant."""
+        """Return the log-likelihood of each delay, up to a constant."""
         (mm, ma, my), (_, aa, ay), (_, _, yy) = np.moveaxis(self._products, (2, 3), (0, 1))
         rest = ay / np.where(aa > 0.0, aa, 1.0)
         alone = np.maximum(mm - ma**2 / np.where(aa > 0.0, aa, 1.0), 0.0)
-        aligned = np.maximum(my - ma * rest, 0.0)  # an effect of the other sign is no delay
+        aligned = np.maximum(my - ma * rest, 0.0)  # a reversed effect is no delay
         explained = aligned**2 / np.where(alone > 0.0, alone, 1.0) + rest * ay
         squares = np.where(yy > 0.0, yy, 1.0)
         left = np.maximum(squares - explained, NOTHING * squares)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The angular acceleration that follows a rate reference, and the filter: common to all laws."""
+"""Reference model and low-pass filter, common to all laws."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from uav_ident_ros.identification.structure import FloatArray
 
 MAX_INTERVAL = 0.1
-"""Interval of the Imu above which a loop starts afresh, s."""
+"""Interval of the Imu above which a loop restarts, s."""
 
 
 @dataclass(frozen=True)
 class Gains:
-    """What a law is tuned by."""
+    """Tuning of a control law."""
 
     rate: tuple[float, float, float]  # (3,) K: acceleration per rate error of roll, pitch, yaw, 1/s
-    bandwidth: float  # Of the law's filter or observer, rad/s
+    bandwidth: float  # Bandwidth of the law's filter or observer, rad/s
     reference_time: float = 0.1  # Time constant of the reference's derivative, s
 
     def times(self, factor: float) -> Gains:
-        """Return those of a loop that is so much faster."""
+        """Return the gains of a loop that is faster by a factor."""
         p, q, r = (factor * gain for gain in self.rate)
         return replace(self, rate=(p, q, r), bandwidth=factor * self.bandwidth)
 
@@ -35,17 +35,17 @@ class ReferenceModel:
         self._smooth = np.array(reference, dtype=np.float64)
 
     def wanted(self, dt: float, x: FloatArray, reference: FloatArray) -> FloatArray:
-        """Return the angular acceleration, shape (3,), rad/s^2, `dt` seconds after the last."""
+        """Return the wanted angular acceleration after `dt` s, shape (3,), rad/s^2."""
         slope = (reference - self._smooth) / self._gains.reference_time
         self._smooth = self._smooth + dt * slope
         return np.asarray(slope + np.array(self._gains.rate) * (reference - x))
 
 
-# --- the filter that rates and inputs pass alike --------------------------------------------------
+# --- the common filter of rates and inputs --------------------------------------------------------
 
 
 DAMPING = 0.8
-"""Damping ratio: no overshoot to speak of."""
+"""Damping ratio: an overshoot of 1.5 %."""
 
 
 class Smoother:
@@ -62,7 +62,7 @@ class Smoother:
         self.slope = np.zeros_like(self.value)
 
     def update(self, signal: FloatArray, dt: float) -> None:
-        """Move on by `dt` seconds with `signal` held."""
+        """Advance by `dt` s with `signal` held."""
         w = self._bandwidth
         decay, damped = DAMPING * w, w * np.sqrt(1.0 - DAMPING**2)
         away = self.value - signal

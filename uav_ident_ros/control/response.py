@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an aircraft answers to its inputs: its jerk, less what it does by itself.
+"""Response of the aircraft to its inputs: the jerk without that of the aircraft's own dynamics.
 
-    jerk_f - (A_x xdot + A_f flow' + C u')_f = g (B u)'_f + what nobody knows
+    jerk_f - (A_x xdot + A_f flow' + C u')_f = g (B u)'_f + rest
 
-A is the linear model of the coefficients, B has what each axis's own input does, C what the others
-do: an aileron's adverse yaw is no effect of the rudder. The rates are measured; beta and alpha that
-go with them follow by the same model and the bank, so that no sensor of theirs is needed. In a
-turn, which needs more lift, the weight counts as it is: a slow aircraft turns tightly. The same of
-the rates that were asked for tells which inputs would have flown them: no gust and no gyro noise is
-in that.
+A is the linear model of the coefficients, B the main control derivatives, C the cross ones: an
+aileron's adverse yaw is no effect of the rudder. The rates are measured. beta and alpha follow from
+them by the same model and the bank angle, so that no flow sensor is needed. The weight enters with
+the sine and cosine of the bank, since a slow aircraft turns tightly. The same model, run on the
+rate reference, gives the inputs that the reference demands, free of gusts and gyro noise.
 
-All of it passes one filter, and both meters (`Effectiveness`, `DelayMeter`) read it.
+All signals pass one filter. `Effectiveness` and `DelayMeter` use them.
 """
 
 import math
@@ -26,35 +25,35 @@ from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import ROWS, FloatArray
 
 BANDWIDTH = 15.0
-"""Of the filter, rad/s."""
+"""Bandwidth of the filter, rad/s."""
 
 FORGETTING = 30.0
-"""Time constant with which flow angles return to zero, s: a gyro's bias adds up in them. Long
-beside the memory of both meters. The bank returns to the observed one, as fast as that to gravity:
-`ATTITUDE_GAIN`."""
+"""Time constant with which flow angles return to zero, s, since a gyro's bias accumulates in them.
+It is long relative to the memories of both estimators. The bank angle returns to the observed one
+with `ATTITUDE_GAIN`."""
 
 AXES = slice(0, len(ROWS))
-"""Of the states: the rates."""
+"""Indices of the rates in the state."""
 
 BETA, ALPHA, PHI = range(len(ROWS), len(STATES))
-"""Of the states: the others."""
+"""Indices of the angles in the state."""
 
 
 class Response:
-    """Filtered answer of the aircraft, and what its inputs should have made of it."""
+    """Filtered response of the aircraft, and the response expected of its inputs."""
 
-    # (n, 3) Jerk of roll, pitch, yaw without the aircraft's own and what other inputs than the
-    # axis's make, rad/s^3: a row for each delay
+    # (n, 3) Jerk of roll, pitch, yaw without the aircraft's own dynamics and the cross effects of
+    # inputs, rad/s^3: a row for each delay
     answered: FloatArray
-    made: FloatArray  # (n, 3) What the axis's own input should have made of it
-    demanded: FloatArray  # (3,) The same of the inputs that would have flown the reference
-    acceleration: FloatArray  # (3,) Measured, rad/s^2
+    made: FloatArray  # (n, 3) Expected jerk by the axis's own input, rad/s^3
+    demanded: FloatArray  # (3,) Expected jerk by the inputs that the reference demands, rad/s^3
+    acceleration: FloatArray  # (3,) Measured angular acceleration, rad/s^2
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the past."""
+        """Reset filters and states."""
         self._smoothers: tuple[Smoother, Smoother] | None = None
         self._states = np.zeros((2, len(STATES)))
         self._model: AttitudeModel | None = None
@@ -65,11 +64,11 @@ class Response:
         effect: FloatArray,  # (3, 4) B, rad/s^2 per unit
         inputs: FloatArray,  # (n, 4) The inputs that act now, for each delay
         dt: float,  # Time since the last sample, s
-        model: AttitudeModel,  # What the aircraft does by itself
-        # (3,) Rates that these inputs were to fly, rad/s: one delay ago
+        model: AttitudeModel,  # Model of the aircraft's own dynamics
+        # (3,) Rate reference one delay ago, rad/s
         reference: FloatArray | None = None,
     ) -> bool:
-        """Take one sample; return whether there is an answer: not to the first one."""
+        """Add one sample; return whether there is a response: not after the first one."""
         if model is not self._model:
             self._model, self._a = model, own_motion(model)
         self._states[:, AXES] = x, np.zeros(3) if reference is None else reference
@@ -81,7 +80,7 @@ class Response:
         before = states.slope
         states.update(self._states, dt)
         moved.update(inputs, dt)
-        self._states = self._states + dt * self._slopes(model)  # the rates are replaced
+        self._states = self._states + dt * self._slopes(model)  # measured rates replace those
         jerk = (states.slope - before)[:, AXES] / dt
         alone, demanded = jerk - (states.slope @ self._a.T)[:, AXES]
         self.made = moved.slope[:, MAINS] * own
@@ -91,7 +90,7 @@ class Response:
         return True
 
     def _slopes(self, model: AttitudeModel) -> FloatArray:
-        """Time derivatives of the states, (2, 6): the linear ones, and the weight in a bank."""
+        """Return the derivatives of the states, (2, 6): linear but for the weight in a bank."""
         slopes = self._states @ self._a.T
         if (flow := _known_flow(model)) is not None:
             bank, weight = self._states[:, PHI], GRAVITY / flow.airspeed
@@ -102,14 +101,14 @@ class Response:
 
 
 def _known_flow(model: AttitudeModel) -> FlowState | None:
-    """Return the state of the flow; None where nobody knows an airspeed."""
+    """Return the state of the flow; None without a known airspeed."""
     return model.flow if model.flow is not None and model.flow.airspeed > 0.0 else None
 
 
 def own_motion(model: AttitudeModel) -> FloatArray:
     """Return A of ``d/dt (p, q, r, beta, alpha, phi)`` about level flight, shape (6, 6).
 
-    Where nobody knows the airspeed it is that of the rates alone: in a turn sideslip would add up.
+    Without a known airspeed it has the rates alone: sideslip would drift in a turn.
     """
     out = np.zeros((len(STATES), len(STATES)))
     flow = _known_flow(model)

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rolling by sideslip, for an aircraft whose ailerons are lost or jammed.
 
-A rudder rolls little by itself, and at first often the wrong way. Held, it yaws the aircraft into
-a sideslip, and that rolls it: by the dihedral, most aeroplanes can be banked so. With the yaw
-rate ``r`` beyond the coordinated one,
+The rudder's direct roll moment is small, and often of the wrong sign. A held rudder yaws the
+aircraft into a sideslip, whose dihedral effect rolls most aeroplanes. With the yaw rate ``r``
+beyond the coordinated one,
 
     beta' = -r,    pdot = L beta,    L = L_beta - L_dr N_beta / N_dr
 
-(the rudder that holds the sideslip counts, too), a roll acceleration that is missing asks for the
-yaw rate ``-k missing / L``. It is incremental: what jams the roll need not be known.
+(the last term is the rudder that holds the sideslip). A missing roll acceleration thus commands the
+yaw rate ``-k missing / L``. The law is incremental: the cause of the roll need not be known.
 
-The price is the yaw axis, so it is paid only where the aircraft would roll over: an aileron that is
-lost, or jammed near its trim, leaves the other axes whole.
+It sacrifices the yaw axis, and is therefore used only where the aircraft would roll over. With an
+aileron lost or jammed near its trim, the other axes remain controlled.
 """
 
 import math
@@ -19,18 +19,18 @@ import math
 from uav_ident_ros.client import Coefficients
 
 SIDESLIP_RATE = 2.0
-"""k: how fast the sideslip is built up, 1/s: as fast as the yaw loop."""
+"""k: rate at which the sideslip builds up, 1/s: that of the yaw loop."""
 
 LARGEST_YAW_RATE = 0.3
-"""Yaw rate that is asked for at most, rad/s."""
+"""Largest yaw rate commanded, rad/s."""
 
 LARGEST_BANK = math.pi / 4.0
-"""Bank beyond which an aeroplane counts as upset, rad (ICAO Doc 10011, 2014): nothing is done as
-long as it stays below."""
+"""Bank beyond which an aeroplane counts as upset, rad (ICAO Doc 10011, 2014). Below it the law is
+not used."""
 
 FORESIGHT = 3.0
-"""Time ahead in which that bank must not be reached, s: what it takes to stop a roll by a sideslip.
-With one or two seconds a small aircraft whose aileron jams loses its attitude first."""
+"""Time over which the bank is predicted, s: a sideslip needs it to stop a roll. With one or two
+seconds a small aircraft with a jammed aileron is upset before."""
 
 
 def rolls_over(
@@ -39,10 +39,10 @@ def rolls_over(
     acceleration: float,  # Its derivative, rad/s^2
     damping: float,  # L_p, 1/s
 ) -> bool:
-    """Say whether an aircraft without ailerons comes to bank beyond what it is to bank.
+    """Return whether an aircraft without ailerons will exceed `LARGEST_BANK` within `FORESIGHT`.
 
-    Its roll is damped: it settles at ``p - p' / L_p``, with ``1 / -L_p`` as its time constant. What
-    it rolled when its aileron broke stops by itself; what a jammed one makes of it has just begun.
+    The damped roll settles at the rate ``p - p' / L_p``, with the time constant ``-1 / L_p``.
+    The roll rate before a failure decays; that of a jammed aileron builds up.
     """
     if damping >= 0.0:
         return abs(bank + FORESIGHT * p) > LARGEST_BANK
@@ -51,7 +51,7 @@ def rolls_over(
 
 
 def yaw_for_roll(coefficients: Coefficients) -> float:
-    """Return the yaw rate per missing roll acceleration, s; 0 if sideslip does not roll it."""
+    """Return the yaw rate per missing roll acceleration, s; 0 without dihedral effect."""
     structure = coefficients.structure
     if not structure.has_flow:
         return 0.0
@@ -61,6 +61,6 @@ def yaw_for_roll(coefficients: Coefficients) -> float:
         for column in ("beta", "dr")
     )
     if n_dr == 0.0 or n_beta <= 0.0:
-        return 0.0  # no rudder, or no weathercock: a sideslip would not stay what it is
+        return 0.0  # no rudder, or no weathercock stability: the sideslip would diverge
     effect = l_beta - l_dr * n_beta / n_dr
     return -SIDESLIP_RATE / effect if effect < 0.0 else 0.0
