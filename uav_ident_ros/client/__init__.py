@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""For controllers: what `identifier` publishes, as a model that a control loop can use.
+"""Client for controllers: the identified model, from the coefficients that `identifier` publishes.
 
-There is no estimator in here, and but for `subscribe` no ROS. In a node::
+The client has no estimator, and only `subscribe` needs ROS. In a node::
 
     from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One message of ``~/coefficients_named`` as plain values, and what of it is known."""
+"""One message of ``~/coefficients_named`` as plain values, with the mask of known coefficients."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from uav_ident_ros.messages.published import (
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 
 MIN_T_RATIO = 3.0
-"""Value over sigma from which on a coefficient is known."""
+"""t-ratio from which a coefficient is known."""
 
 MAX_SHARE = 0.1
-"""A small coefficient is known too if its sigma is below this share of the largest known one
-of its kind in its row: a cross coupling that is surely small."""
+"""Largest sigma of a small but known coefficient, over the largest known one of its kind in its
+row: such a cross coupling is significantly small."""
 
 
 class MessageError(ValueError):
-    """A message does not hold coefficients; the text says what is wrong."""
+    """A message does not hold coefficients; the text names the problem."""
 
 
 class NamedMessage(Protocol):
-    """What is read of a sensor_msgs/msg/JointState, whoever decoded it."""
+    """The fields used of a sensor_msgs/msg/JointState, independent of its decoder."""
 
     header: Any
     name: Sequence[str]
@@ -57,15 +57,15 @@ class NamedMessage(Protocol):
 class Coefficients:
     """Coefficients of ``xdot = A f(x, u)`` with their uncertainty and the verdict."""
 
-    structure: Structure  # Names the rows and columns
+    structure: Structure  # Structure of the model, with the names of rows and columns
     values: FloatArray  # (R, n) A, SI units, body axes forward-right-down
-    sigma: FloatArray  # (R, n) Standard deviations; 0 for what is fixed or absent
+    sigma: FloatArray  # (R, n) Standard deviations; 0 for fixed or absent coefficients
     usable: bool = True  # The identifier's verdict on all moment rows
-    usable_rows: tuple[bool, ...] = (True, True, True)  # On each of pdot, qdot, rdot
+    usable_rows: tuple[bool, ...] = (True, True, True)  # Its verdict on each of pdot, qdot, rdot
     # Flow angles, attitude and airspeed; None for a structure without flow angles
     flow: FlowState | None = None
-    fit: FloatArray | None = None  # (3,) Fit of its 1-second predictions of p, q, r, percent
-    t_ns: int = 0  # Message time at which they were valid, ns
+    fit: FloatArray | None = None  # (3,) Fit of the 1-second predictions of p, q, r, percent
+    t_ns: int = 0  # Message time of the tick, ns
 
     @classmethod
     def from_message(cls, message: NamedMessage) -> Coefficients:
@@ -74,8 +74,7 @@ class Coefficients:
         Raises
         ------
         MessageError
-            If entries are missing, of no known structure, or not finite, or if the airspeed is
-            below zero.
+            If entries are missing, not finite, of no known structure, or the airspeed is negative.
         """
         count = len(message.name)
         if not len(message.position) == len(message.effort) == count:
@@ -130,9 +129,9 @@ class Coefficients:
 
     @cached_property
     def known(self) -> BoolArray:
-        """Which coefficients may be acted on, shape (R, n); absent ones count as known zeros.
+        """Mask of the known coefficients, shape (R, n); absent ones count as known zeros.
 
-        Known is what is `MIN_T_RATIO` sigma from zero, or surely small: with a sigma below
+        A coefficient is known if its t-ratio reaches `MIN_T_RATIO`, or if its sigma is below
         `MAX_SHARE` of the largest known coefficient of its kind (rate products, rates, inputs,
         forces) in its row.
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a controller adds to its inputs when it is asked to, and no longer."""
+"""Excitation for a controller to add to its inputs, with a timeout."""
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 
 class Excitation:
-    """The excitation that is asked for on ``~/excitation``.
+    """The excitation requested on ``~/excitation``.
 
-    A value counts from its stamp until the next one's. Without messages for
-    `EXCITATION_TIMEOUT` it is zero: a node that died asks for nothing.
+    A value holds from its stamp until the next one's. Without messages for `EXCITATION_TIMEOUT`
+    the excitation is zero, in case the identifier has ended.
 
     Parameters
     ----------
@@ -34,10 +34,10 @@ class Excitation:
         self._requests: History[tuple[int, FloatArray]] = History()
 
     def add(self, t_ns: int, names: list[str], values: list[float]) -> None:
-        """Take a message: its stamp, ns, and values by the name of the input.
+        """Add a message: its stamp, ns, and values by the name of the input.
 
-        What was asked for from a later time on is called off. A message that cannot be right
-        (an unknown name, a value that is not finite) asks for nothing, from then on.
+        It cancels requests with later stamps. An invalid message (an unknown name, a value that is
+        not finite) sets the excitation to zero from its stamp on.
         """
         requested = np.zeros(len(INPUTS))
         good = len(names) == len(values) and set(names) <= set(INPUTS)
@@ -46,7 +46,7 @@ class Excitation:
         self._requests.add(t_ns, (t_ns, np.clip(requested, -self._limit, self._limit)))
 
     def at(self, t_ns: int) -> FloatArray:
-        """Return what to add at `t_ns`: de, dr, da, dth, in their units."""
+        """Return the excitation of de, dr, da, dth at `t_ns`, in their units."""
         newest = self._requests.at(t_ns)
         if newest is None or t_ns - newest[0] > EXCITATION_TIMEOUT * 1e9:
             return np.zeros(len(INPUTS))

@@ -2,8 +2,8 @@
 """The identified attitude dynamics ``xdot = A f(x, u)`` for a controller: NumPy only.
 
 States ``x = [p q r]`` in rad/s, body axes forward-right-down, and with flow angles beta, alpha in
-rad; inputs ``u = [de dr da dth]`` as the identifier has them: ``u = M (scale (raw - trim))``,
-acting a transport delay later.
+rad; inputs ``u = [de dr da dth]`` as in the identifier: ``u = M (scale (raw - trim))``, which act
+after a transport delay.
 """
 
 import math
@@ -30,14 +30,14 @@ STEP = 0.01
 """Longest step of a prediction, s: a tenth of the fastest mode of a small aircraft."""
 
 MIN_SINGULAR_RATIO = 0.01
-"""Least over largest singular value of the control matrix below which it is not inverted."""
+"""Least over largest singular value below which the control matrix counts as singular."""
 
 SURFACES = ("de", "dr", "da")
-"""What is inverted unless asked otherwise: throttle turns no fixed wing on purpose."""
+"""Inputs of the inversion by default: a fixed-wing aircraft does not use throttle for attitude."""
 
 
 class Refusal(Exception):  # noqa: N818  (it is an answer, not a mistake)
-    """There is nothing to act on; the text gives the reason."""
+    """There is no usable model; the text gives the reason."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,8 @@ class Inversion:
     """Inputs that produce a wanted angular acceleration."""
 
     u: FloatArray  # (4,) de, dr, da, dth; deviations from trim, 0 for those not used
-    acceleration: FloatArray  # (3,) pdot, qdot, rdot that the model gives with them, rad/s^2
-    # Inputs at a limit: then `acceleration` may fall short of what was wanted
+    acceleration: FloatArray  # (3,) pdot, qdot, rdot of the model with these inputs, rad/s^2
+    # Inputs at a limit: then `acceleration` may fall short of the wanted one
     limited: tuple[str, ...]
 
 
@@ -54,17 +54,16 @@ class Inversion:
 class AttitudeModel:
     """Identified attitude dynamics."""
 
-    structure: Structure  # Names the rows and columns
+    structure: Structure  # Structure of the model, with the names of rows and columns
     values: FloatArray  # (R, n) A, SI units; 0 where a coefficient is left out
-    known: BoolArray  # (R, n) What may be acted on
-    # Flow angles, attitude and airspeed that the coefficients came with, for a structure with flow
-    # angles
+    known: BoolArray  # (R, n) Mask of the known coefficients
+    # Flow angles, attitude and airspeed of the coefficients' tick, for a structure with flow angles
     flow: FlowState | None = None
     t_ns: int = 0  # Message time of the coefficients, ns; 0 for the author's own
-    source: str = "identified"  # Where they are from: or ``last good``, or ``nominal``
-    # Coefficients that are not the newest: unknown now, and taken from the fallback
+    source: str = "identified"  # Source of the coefficients: or ``last good``, or ``nominal``
+    # Coefficients unknown in the newest set, and taken from the fallback
     replaced: tuple[str, ...] = ()
-    left_out: tuple[str, ...] = ()  # Coefficients that nobody knows: taken as 0
+    left_out: tuple[str, ...] = ()  # Coefficients unknown in the fallback, too: taken as 0
 
     def acceleration(
         self, x: FloatArray, u: FloatArray, force: FloatArray | None = None
@@ -74,8 +73,8 @@ class AttitudeModel:
         Parameters
         ----------
         x : (..., 3) or (..., 5) array
-            Rates p, q, r, rad/s, and with flow angles as states beta, alpha, rad; those of the
-            message where they are left out.
+            Rates p, q, r, rad/s; with flow angles as states also beta, alpha, rad, by default those
+            of the message.
         u : (..., 4) array
             Inputs de, dr, da, dth.
         force : (..., 2) array, optional
@@ -92,7 +91,7 @@ class AttitudeModel:
         return np.asarray(f @ self.values[: len(ROWS)].T)
 
     def _state(self, x: FloatArray) -> FloatArray:
-        """Return the state, with the flow angles of the message where they are left out."""
+        """Return the state, completed by the flow angles of the message."""
         x = np.asarray(x, dtype=np.float64)
         if not self.structure.has_flow or x.shape[-1] > len(ROWS):
             return x
@@ -110,10 +109,10 @@ class AttitudeModel:
     def predict(
         self, x: FloatArray, u: FloatArray, dt: float, force: FloatArray | None = None
     ) -> FloatArray:
-        """Return the state `dt` seconds on, shape as x, with the inputs held.
+        """Return the state after `dt` s with the inputs held, shape as x.
 
-        With flow angles as states the attitude starts at that of the message and is integrated;
-        otherwise the forces are held. Parameters are those of `acceleration`.
+        With flow angles as states, the attitude is integrated from that of the message; otherwise
+        the forces are held. Parameters are those of `acceleration`.
         """
         given = np.asarray(x, dtype=np.float64)
         state = self._state(given)
@@ -137,15 +136,15 @@ class AttitudeModel:
     def linearize(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return A and B of ``xdot = A dx + B du`` about a state and inputs.
 
-        With flow angles the states are p, q, r, beta, alpha, phi: leave out the last row and column
-        if bank is held. Without them they are p, q, r.
+        With flow angles the states are p, q, r, beta, alpha, phi: remove the last row and column
+        at constant bank. Without them they are p, q, r.
 
         Parameters
         ----------
         x : (3,) or (5,) array
             As in `acceleration`.
         u : (4,) array
-            Inputs; they enter linearly, so that they do not matter.
+            Inputs; they enter linearly and have no influence.
         """
         p, q, r, *angles = (float(value) for value in self._state(x))
         condition = Condition(math.inf, (p, q, r))
@@ -163,10 +162,10 @@ class AttitudeModel:
         inputs: Sequence[str] = SURFACES,
         input_forces: FloatArray | None = None,
     ) -> Inversion:
-        """Return the least inputs that give the wanted angular acceleration.
+        """Return the smallest inputs that give the wanted angular acceleration.
 
-        Where limits are in the way, the inputs beyond them are set to them and the others
-        make up for it as far as they can.
+        Inputs beyond their limits are set to them, and the other inputs compensate as far as
+        possible.
 
         Parameters
         ----------
@@ -175,25 +174,24 @@ class AttitudeModel:
         x : (3,) or (5,) array
             State, as in `acceleration`.
         limits : (2, 4) array, optional
-            Least and largest de, dr, da, dth, deviations from trim. They also weigh the inputs:
-            least is the sum of squares of their shares of the travel.
+            Lower and upper limits of de, dr, da, dth, deviations from trim. They also weight the
+            inputs: the sum of squares of their shares of the travel is minimised.
         force : (2,) array, optional
             As in `acceleration`.
         inputs : sequence of str
-            Those that may be used.
+            Inputs that may be used.
         input_forces : (2, 4) array, optional
-            What each input itself adds to ay, az, m/s^2 per unit. The augmented structure's
-            control derivatives hold at given ay, az; with this they become whole ones, as those
-            with flow angles are.
+            Derivatives of ay, az by the inputs, m/s^2 per unit. The augmented structure's control
+            derivatives are partial: they hold at given ay, az. With this they become whole.
 
         Raises
         ------
         Refusal
-            If an axis cannot be moved with what is known of the control derivatives.
+            If the known control derivatives cannot move an axis.
         """
         B = self.values[: len(ROWS), INPUT_COLUMNS]
         allowed = [INPUTS.index(name) for name in inputs]
-        columns = [i for i in allowed if B[:, i].any()]  # what is not known counts as 0
+        columns = [i for i in allowed if B[:, i].any()]  # unknown ones are 0
         bound = np.stack([np.full(4, -np.inf), np.full(4, np.inf)])
         if limits is not None:
             bound = np.asarray(limits, dtype=np.float64)
@@ -209,7 +207,7 @@ class AttitudeModel:
 
 
 def _check_invertible(B: FloatArray, unknown: Sequence[str]) -> None:
-    """Refuse a control matrix of the known inputs that leaves an axis without one."""
+    """Raise `Refusal` if the control matrix of the known inputs is singular."""
     hint = f" ({', '.join(unknown)} not identified)" if unknown else ""
     if B.shape[1] < len(ROWS):
         raise Refusal(f"{B.shape[1]} known inputs cannot move three axes{hint}")
@@ -222,7 +220,7 @@ def _check_invertible(B: FloatArray, unknown: Sequence[str]) -> None:
 def _least_norm(
     B: FloatArray, wanted: FloatArray, columns: Sequence[int], bound: FloatArray, travel: FloatArray
 ) -> FloatArray:
-    """Least-norm inputs by the redistributed pseudo-inverse, shape (4,)."""
+    """Return the least-norm inputs by the redistributed pseudo-inverse, shape (4,)."""
     u = np.zeros(B.shape[1])
     free = list(columns)
     while free:

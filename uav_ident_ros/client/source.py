@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which coefficients a controller acts on: the newest, the last good or the author's own."""
+"""Source of a controller's coefficients: the newest, the last good or the author's own."""
 
 from collections import deque
 from dataclasses import replace
@@ -14,7 +14,7 @@ from uav_ident_ros.identification.structure import BoolArray, FloatArray
 from uav_ident_ros.messages.types import NS_PER_S
 
 LENGTH = 128
-"""Values that are kept: six seconds of coefficients, one of a fast reference."""
+"""Values kept: six seconds of coefficients at 20 Hz, one second of a fast reference."""
 
 Value = TypeVar("Value")
 
@@ -26,11 +26,11 @@ class History(Generic[Value]):
         self._items: deque[tuple[int, Value]] = deque(maxlen=LENGTH)
 
     def add(self, t_ns: int, value: Value) -> None:
-        """Add a value: it hides what came before with a later stamp, as after a new start."""
+        """Add a value: it hides earlier ones with a later stamp, as after a restart."""
         self._items.append((t_ns, value))
 
     def at(self, t_ns: int) -> Value | None:
-        """Newest value stamped at or before `t_ns`; None if there is none."""
+        """Return the newest value stamped at or before `t_ns`; None if there is none."""
         for stamp, value in reversed(self._items):
             if stamp <= t_ns:
                 return value
@@ -38,11 +38,11 @@ class History(Generic[Value]):
 
 
 MAX_AGE = 0.5
-"""Age at which coefficients count as stale, s: ten ticks missed."""
+"""Age from which coefficients are stale, s: ten missed ticks at 20 Hz."""
 
 
 class Fallback(Enum):
-    """What to act on while the newest coefficients must not be used.
+    """Replacement for the newest coefficients while they are stale or not usable.
 
     See "After a fault" in docs/controllers.md.
     """
@@ -53,26 +53,25 @@ class Fallback(Enum):
 
 
 class CoefficientSource:
-    """Keeps the coefficients that arrive and gives the model that may be acted on.
+    """Receives coefficients and provides the model to use.
 
-    Single coefficients that are not known (see `Coefficients.known`) are never acted on, whatever
-    the verdict: those of the fallback replace them, one by one, and what the fallback does not
-    know either is left out.
+    Unknown coefficients (see `Coefficients.known`) are never used, whatever the verdict. Those of
+    the fallback replace them one by one; a coefficient unknown there, too, is left out.
 
     Parameters
     ----------
     fallback : Fallback
         The caller's choice; there is no default on purpose.
     nominal : Coefficients, optional
-        The author's own set: for `Fallback.NOMINAL`, and under `Fallback.LAST_GOOD` what is
-        good before anything was identified.
+        The author's own set: for `Fallback.NOMINAL`, and for `Fallback.LAST_GOOD` before the
+        first usable set.
     use_verdict : bool
         Whether ``verdict/usable`` must be 1. After a fault it lags behind the coefficients.
     max_age : float
-        Age at which coefficients are stale, s of message time.
+        Age from which coefficients are stale, s of message time.
     delay : float
-        Use only what is at least so old, s. In lock-step with a simulation it makes the choice
-        independent of the machine; 0 in flight.
+        Least age of the coefficients used, s. In lock-step with a simulation it makes the choice
+        independent of the machine's speed; 0 in flight.
 
     Raises
     ------
@@ -96,41 +95,41 @@ class CoefficientSource:
         self._max_age = max_age
         self._delay_ns = round(delay * NS_PER_S)
         self._history: History[Coefficients] = History()
-        # what stands in for the newest, and the newest that were good, as a model
+        # the model of the fallback, and the newest usable set with its model
         self._spare: AttitudeModel | None = None
         if nominal is not None and fallback is not Fallback.REFUSE:
             self._spare = _model(nominal, nominal.values, nominal.known, "nominal")
         self._good: tuple[Coefficients, AttitudeModel] | None = None
 
     def take(self, message: NamedMessage) -> Coefficients:
-        """Take a message of ``~/coefficients_named``.
+        """Add a message of ``~/coefficients_named``.
 
         Raises
         ------
         MessageError
-            If it holds no coefficients; what was taken before stays.
+            If it holds no coefficients; the earlier ones stay.
         """
         coefficients = Coefficients.from_message(message)
         self.add(coefficients)
         return coefficients
 
     def add(self, coefficients: Coefficients) -> None:
-        """Take coefficients that were decoded elsewhere."""
+        """Add decoded coefficients."""
         self._history.add(coefficients.t_ns, coefficients)
 
     def newest(self, now_ns: int) -> Coefficients | None:
-        """Newest coefficients that count at message time `now_ns`; None before the first."""
+        """Return the newest coefficients at message time `now_ns`; None before the first."""
         return self._history.at(now_ns - self._delay_ns)
 
     def refusal(self, now_ns: int, row: int | None = None) -> str:
-        """Why the newest coefficients must not be used; empty if they may.
+        """Return the reason not to use the newest coefficients; empty if there is none.
 
         Parameters
         ----------
         now_ns : int
             Message time, ns.
         row : int, optional
-            Ask for one of pdot, qdot, rdot alone, by its own verdict.
+            One of pdot, qdot, rdot, to be judged by its own verdict.
         """
         newest = self.newest(now_ns)
         if newest is None:
@@ -143,12 +142,12 @@ class CoefficientSource:
         return ""
 
     def model(self, now_ns: int) -> AttitudeModel:
-        """Return what may be acted on at message time `now_ns`.
+        """Return the model to use at message time `now_ns`.
 
         Raises
         ------
         Refusal
-            If the newest coefficients are refused, and the fallback is empty.
+            If the newest coefficients cannot be used and there is no fallback.
         """
         newest, reason = self.newest(now_ns), self.refusal(now_ns)
         if newest is None or reason:
@@ -162,7 +161,7 @@ class CoefficientSource:
         return self._good[1]
 
     def _merged(self, newest: Coefficients) -> AttitudeModel:
-        """Return the model of coefficients, with those of the spare in place of the unknown."""
+        """Return the model of a set, its unknown coefficients replaced by those of the fallback."""
         values, known, spare = newest.values, newest.known, self._spare
         if spare is None or spare.structure is not newest.structure:
             return _model(newest, values, known)

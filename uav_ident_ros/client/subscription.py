@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lines of ROS that a controller needs: one for each topic of the identifier."""
+"""ROS subscriptions of a controller to the topics of the identifier."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,24 +10,24 @@ from uav_ident_ros.client.source import CoefficientSource
 from uav_ident_ros.messages.types import header_ns
 
 TOPIC = "identifier/coefficients_named"
-"""Where the identifier of the node's own namespace publishes."""
+"""Topic of the coefficients from the identifier in the node's own namespace."""
 
 EXCITATION_TOPIC = "identifier/excitation"
-"""Where it publishes what a controller is asked to add."""
+"""Topic of the excitation that a controller adds."""
 
 DEPTH = 10
-"""Depth of the queue: ticks that come in a burst, after a pause, are not lost."""
+"""Depth of the queue: it holds the ticks of a burst after a pause."""
 
 
 def subscribe(
-    node: Any,  # rclpy's, the owner of the subscription
-    source: CoefficientSource,  # What takes the messages
+    node: Any,  # rclpy's node, the owner of the subscription
+    source: CoefficientSource,  # Receiver of the messages
     topic: str = TOPIC,  # Remappings apply
-    callback: Callable[[Coefficients], None] | None = None,  # Told the coefficients of each message
+    callback: Callable[[Coefficients], None] | None = None,  # Called with each set of coefficients
 ) -> Any:
-    """Feed `source` from a topic; return rclpy's subscription.
+    """Add the messages of a topic to `source`; return rclpy's subscription.
 
-    It is reliable and latched, so that the last coefficients come at once.
+    It is reliable and latched: the last coefficients arrive at once.
     """
     from sensor_msgs.msg import JointState
 
@@ -46,7 +46,7 @@ def subscribe(
 
 
 def subscribe_excitation(node: Any, excitation: Excitation, topic: str = EXCITATION_TOPIC) -> Any:
-    """Feed `excitation` from a topic, as `subscribe` does a source of coefficients."""
+    """Add the messages of a topic to `excitation`; return rclpy's subscription."""
     from sensor_msgs.msg import JointState
 
     def take(message: JointState) -> None:
