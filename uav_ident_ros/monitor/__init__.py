@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A terminal view of a running identifier: what it has learned, how well, and what it waits for."""
+"""A terminal view of a running identifier: coefficients, fit, verdict, and missing inputs."""

@@ -26,11 +26,11 @@ OUTPUT = "coefficients_named"
 OUTPUT_TYPE = "sensor_msgs/msg/JointState"
 
 STATUS_DEPTH = 50
-"""Depth of the queue of /diagnostics, which a whole robot shares."""
+"""Depth of the queue of /diagnostics, which all nodes of a robot share."""
 
 SETTLE = 3.5
-"""Seconds after the first identifier is found in which others may turn up: what misses the first
-announcement of a Fast DDS participant hears the next one after 3 s."""
+"""Seconds to wait for other identifiers after the first one: a lost announcement of a Fast DDS
+participant is repeated after 3 s."""
 
 USABLE = 0
 NOT_USABLE = 1
@@ -38,10 +38,10 @@ NOTHING_RECEIVED = 3
 """Exit statuses of ``--once``; the view itself ends with 0."""
 
 TIMEOUT = 5.0
-"""Seconds after which ``--once`` gives up: five statuses of the node, and discovery is slow."""
+"""Timeout of ``--once``, s: five statuses of the node, since discovery is slow."""
 
 LOOK_AGAIN = 1.0
-"""Seconds after which the view looks again for an identifier."""
+"""Interval of the search for an identifier, s."""
 
 
 NO_RICH = (
@@ -51,7 +51,7 @@ NO_RICH = (
 
 
 class MonitorError(Exception):
-    """There is not exactly one identifier to watch; the message says what there is."""
+    """There are several identifiers; the message lists them."""
 
 
 def identifiers(guest: Guest) -> list[str]:
@@ -67,7 +67,7 @@ def identifiers(guest: Guest) -> list[str]:
 
 def find(
     guest: Guest,
-    timeout: float,  # Seconds to look at most
+    timeout: float,  # Longest time of the search, s
 ) -> str:
     """Return the full name of the only identifier, empty if none; raises `MonitorError`."""
     if not guest.spin_for(timeout, lambda: bool(identifiers(guest))):
@@ -83,7 +83,7 @@ def find(
 
 
 def listen(guest: Guest, node: str) -> WatchedNode:
-    """Begin to listen to an identifier, by its full name."""
+    """Subscribe to the topics of an identifier, by its full name."""
     watched, topic = WatchedNode(node), f"{node}/{OUTPUT}"
 
     def take_status(message: DiagnosticArray) -> None:
@@ -126,8 +126,8 @@ def _full_name(text: str) -> str:
 
 
 def once(guest: Guest, node: str | None, timeout: float) -> int:
-    """Print one block; return the exit status that tells what a controller may do."""
-    from uav_ident_ros.monitor.picture import View  # before it listens: what it hears grows old
+    """Print one block; return the exit status, which depends on the verdict."""
+    from uav_ident_ros.monitor.picture import View  # before it subscribes: messages would grow old
 
     node = node or find(guest, timeout)
     if not node:
@@ -143,7 +143,7 @@ def once(guest: Guest, node: str | None, timeout: float) -> int:
 
 
 def watch(guest: Guest, node: str | None, plain: bool) -> NoReturn:
-    """Show an identifier for as long as this runs; wait for one if there is none."""
+    """Show an identifier until Ctrl-C; wait for one if there is none."""
     from uav_ident_ros.monitor.picture import View
 
     if not node:
@@ -163,7 +163,7 @@ def main(arguments: list[str] | None = None) -> int:
     if importlib.util.find_spec("rich") is None:
         print(NO_RICH, file=sys.stderr)
         return USAGE_ERROR
-    ending = Ending()  # before there is anything to leave
+    ending = Ending()  # before anything that needs cleaning up
     guest = Guest("uav_ident_monitor", ending)
     try:
         if options.once:

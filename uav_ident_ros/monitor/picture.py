@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the monitor looks: what has been heard, drawn with rich.
+"""The view of the monitor, drawn with rich.
 
-The coefficients stand in columns, a row of the model each, side by side where the width allows:
-on 80 columns and 24 lines the moment equations are in sight.
+Each row of the model has a column of coefficients. The columns are side by side if the width
+allows; a terminal of 80 by 24 characters shows all moment equations.
 """
 
 import math
@@ -36,7 +36,7 @@ SPARKS = 10
 """Characters of the line of past values, where the terminal is wide enough for it."""
 
 SHOWN_RATIO = 999.0
-"""Largest t-ratio that is written out."""
+"""Largest t-ratio shown as a number."""
 
 WELL_KNOWN = SupervisionSettings().min_t_ratio
 """t-ratio from which a coefficient counts as known: the default of `supervision.min_t_ratio`."""
@@ -45,7 +45,7 @@ STATE_STYLES = {"learning": "cyan", "converged": "green", "fault": "bold red"}
 OTHER_STATE = "yellow"
 
 CONFIDENCE = {"none": "as set", "low": "estimated, not sure yet", "sure": "estimated, sure"}
-"""What the node says of its delay, in words."""
+"""Text for each confidence of the delay."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ ASCII = Glyphs("-/\\", "_.-~^", "x+", "z", " deg")
 
 
 class View:
-    """Shows what has been heard: on the whole terminal, or in plain lines where there is none."""
+    """Shows a watched node: on the whole terminal, or in plain lines without one."""
 
     def __init__(
         self,
@@ -82,12 +82,12 @@ class View:
             self._screen.start()
 
     def show(self, watched: WatchedNode) -> None:
-        """Show the newest: drawn anew, in the size that the terminal has now, or in a block."""
+        """Show the newest values, in the present size of the terminal, or in a block."""
         shown = picture(watched, self._console)
         if self._screen is not None:
             self._screen.update(shown, refresh=True)
             return
-        with self._console.capture() as block:  # rich itself exits where the reader has gone
+        with self._console.capture() as block:  # rich itself would exit on a closed pipe
             self._console.print(shown)
         print(block.get(), flush=True)  # blocks are an empty line apart
 
@@ -98,7 +98,7 @@ class View:
 
 
 def picture(watched: WatchedNode, console: Console) -> RenderableType:
-    """Return everything worth seeing, to be printed on `console`."""
+    """Return the whole view, for the size of `console`."""
     glyphs = ASCII if console.options.ascii_only else Glyphs()
     width = COLUMN_WIDTH + SPARKS
     if console.width < AXES * (width + GAP) - GAP:
@@ -116,11 +116,11 @@ def picture(watched: WatchedNode, console: Console) -> RenderableType:
     return Group(*_head(watched), "", table, *_inputs(watched), *_foot(watched, glyphs))
 
 
-# --- who and how ------------------------------------------------------------------------------
+# --- node and state ---------------------------------------------------------------------------
 
 
 def _head(watched: WatchedNode) -> Iterator[Text]:
-    """Yield name, state, verdict and tick, then what is wrong or lacking."""
+    """Yield name, state, verdict and tick, then the problems."""
     state, tick = watched.state, Text("no tick yet", "yellow")
     if watched.newest is not None:
         tick = Text(f"tick {watched.newest.t_ns / NS_PER_S:.2f} s")
@@ -191,13 +191,13 @@ def _coefficient(coefficient: Coefficient, glyphs: Glyphs) -> Text:
 
 
 def _value(value: float) -> str:
-    """Return up to 7 characters."""
+    """Return a value in up to 7 characters."""
     size = abs(value)
     return f"{value:+.{3 if size < 99.9995 else 2}f}" if size < 999.995 else f"{value:+.0e}"
 
 
 def _sigma(sigma: float) -> str:
-    """Return up to 5 characters."""
+    """Return a standard deviation in up to 5 characters."""
     if sigma == 0.0:
         return "fixed"
     if not math.isfinite(sigma):
@@ -208,7 +208,7 @@ def _sigma(sigma: float) -> str:
 
 
 def _spark_line(coefficient: Coefficient, levels: str) -> str:
-    """Return past values between the least and the largest, at least two sigma apart."""
+    """Return a line of past values; its range is at least two sigma."""
     past = coefficient.past
     if not math.isfinite(coefficient.sigma):
         return ""
@@ -228,7 +228,7 @@ def _line(label: str, *parts: str | tuple[str, str]) -> Text:
 
 
 def _inputs(watched: WatchedNode) -> Iterator[RenderableType]:
-    """Yield what arrives on every input, and what was dropped for which reason."""
+    """Yield rate, age and drops of every input, with the reasons of the drops."""
     values = watched.values
     for stream in (key.removesuffix(": topic") for key in values if key.endswith(": topic")):
         age, dropped = values[f"{stream}: age [s]"], values[f"{stream}: dropped"]
@@ -283,7 +283,7 @@ def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
 
 
 def _excitation(values: Mapping[str, str]) -> Iterator[Text]:
-    """Yield how a run of excitation goes, or how the last one ended; nothing before the first."""
+    """Yield the progress of a run of excitation, or the end of the last one."""
     ended = values.get("excite: last run", "none yet")
     if left := values.get("excite: remaining [s]"):
         until = values["excite: until known [s]"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What has been heard of one identifier, as plain values: no ROS, no terminal."""
+"""State of one identifier as received, in plain values: no ROS, no terminal."""
 
 import math
 import time
@@ -19,10 +19,10 @@ TREND_POINTS = 20
 """Values kept of each coefficient over that time."""
 
 SILENT_AFTER = 1.5
-"""Seconds without a tick after which the last one is old: the slowest update rate is 1 Hz."""
+"""Seconds without a tick after which the last one is stale: the slowest update rate is 1 Hz."""
 
 STATES_WITHOUT_DATA = ("waiting", "fault")
-"""State words under which the last coefficients are of the past."""
+"""States in which the last coefficients are out of date."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Coefficient:
 
     @property
     def t_ratio(self) -> float | None:
-        """How many standard deviations it is from zero; None for a fixed one."""
+        """Magnitude of the value over sigma; None for a fixed coefficient."""
         return abs(self.value) / self.sigma if self.sigma > 0.0 else None
 
     @property
@@ -51,7 +51,7 @@ class Coefficient:
 
 
 class WatchedNode:
-    """Gathers what one identifier publishes."""
+    """Collects the outputs of one identifier."""
 
     def __init__(
         self,
@@ -59,20 +59,20 @@ class WatchedNode:
         clock: Callable[[], float] = time.monotonic,  # Monotonic seconds, for ages
     ) -> None:
         self.node = node
-        # state, reason: Its state word by the newest status on /diagnostics, and why it is in it
+        # State of the newest status on /diagnostics, and its reason
         self.state, self.reason = "", "no status on /diagnostics yet"
-        self.values: Mapping[str, str] = {}  # Everything beneath, by label
+        self.values: Mapping[str, str] = {}  # Values of that status, by label
         self.newest: Coefficients | None = None  # Its newest coefficients
-        self.ticks = 0  # Ticks heard
+        self.ticks = 0  # Ticks received
         self.publishers = 1  # Nodes that publish under this name; more than one is a mistake
         self._clock, self._arrived = clock, -math.inf
         self._past: deque[tuple[int, FloatArray]] = deque()
 
     def take(self, new: Coefficients) -> None:
-        """Take the content of one ~/coefficients_named message."""
+        """Add the content of one ~/coefficients_named message."""
         before, t_ns = self.newest, new.t_ns
         if before and (t_ns < before.t_ns or new.structure is not before.structure):
-            self._past.clear()  # it started again, from other data or with another structure
+            self._past.clear()  # the node was restarted, with other data or another structure
         self.ticks += before is None or t_ns != before.t_ns
         self.newest, self._arrived = new, self._clock()
         if not self._past or t_ns - self._past[-1][0] >= TREND_TIME / TREND_POINTS * NS_PER_S:
@@ -81,12 +81,12 @@ class WatchedNode:
             self._past.popleft()
 
     def diagnosed(self, message: str, values: Mapping[str, str]) -> None:
-        """Take one status: its message, and its values by label."""
+        """Add one status: its message, and its values by label."""
         self.state, _, self.reason = message.partition(": ")
         self.values = values
 
     def number(self, label: str) -> float | None:
-        """Return a value of the status as a number; None if it is missing or none."""
+        """Return a value of the status as a number; None if it is missing or not a number."""
         try:
             return float(self.values[label])
         except (KeyError, ValueError):
@@ -94,7 +94,7 @@ class WatchedNode:
 
     @property
     def fresh(self) -> bool:
-        """Whether ticks arrive now: the first message may be a latched one, of any age."""
+        """Whether ticks arrive now; the first message may be a latched one, of any age."""
         return self.ticks > 1 and self._clock() - self._arrived < SILENT_AFTER
 
     @property
@@ -120,7 +120,7 @@ class WatchedNode:
         return (float(fit[row]) if fit is not None and fit.any() else None), hold
 
     def rows(self) -> dict[str, list[Coefficient]]:
-        """Coefficients by the rows of the model; the moment equations before any."""
+        """Return the coefficients by the rows of the model, the moment equations first."""
         rows: dict[str, list[Coefficient]] = {row: [] for row in ROWS}
         if (new := self.newest) is None:
             return rows
