@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node `identifier` and what belongs to it alone."""
+"""The node `identifier`: topics, services, parameters, diagnostics, state file."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node tells about itself on ``/diagnostics``."""
+"""Content of ``/diagnostics``."""
 
 import math
 import time
@@ -23,38 +23,38 @@ LEVELS: dict[str, bytes] = {
     "paused": DiagnosticStatus.WARN,
     "fault": DiagnosticStatus.ERROR,
 }
-"""The diagnostic level of each state word."""
+"""The diagnostic level of each state."""
 
 
 class TickMeter:
-    """Durations of the last ticks, how old they were, and how regularly the timer fired."""
+    """Statistics of the last ticks: duration, age when published, intervals of the timer."""
 
     def __init__(self, period: float) -> None:
         self.count = 0
-        self._period = period  # that the timer should keep, s
+        self._period = period  # nominal interval of the timer, s
         self._ages, self._durations, self._intervals = (
             deque[float](maxlen=TICKS_KEPT) for _ in range(3)
         )
         self._last_call = math.inf
 
     def called(self) -> None:
-        """Note that the timer fired."""
+        """Record a call of the timer."""
         now = time.perf_counter()
         if self._last_call < now:
             self._intervals.append(now - self._last_call)
         self._last_call = now
 
     def ticked(self, seconds: float) -> None:
-        """Note a tick that took `seconds` to compute."""
+        """Record the computing time of a tick, s."""
         self.count += 1
         self._durations.append(seconds)
 
     def published(self, age: float) -> None:
-        """Note the age of a tick, s, by the node's clock, when it was published."""
+        """Record the age of a tick when published, s, by the node's clock."""
         self._ages.append(age)
 
     def values(self) -> Iterator[tuple[str, str]]:
-        """Yield what is to be shown, each with its label."""
+        """Yield the statistics, each with its label."""
         yield "count", str(self.count)
         jitter = [abs(interval - self._period) for interval in self._intervals]
         for name, times, shares, digits in (
@@ -75,7 +75,7 @@ def grouped(group: str, values: Iterable[tuple[str, str]]) -> Iterator[tuple[str
 
 
 def estimate_values(estimate: Estimate, identifier: OnlineIdentifier) -> Iterator[tuple[str, str]]:
-    """Yield what the last estimate says, what the flight has shown so far, and what not."""
+    """Yield the values of the last estimate and of the flight so far, each with its label."""
     information, supervisor = identifier.estimator.information, identifier.supervisor
     yield "adapting", str(estimate.adapting).lower()
     yield "usable", str(estimate.usable).lower()

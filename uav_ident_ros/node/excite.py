@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The service ``~/excite`` and the topic ``~/excitation``: a run of excitation behind ROS."""
+"""The service ``~/excite`` and the topic ``~/excitation``."""
 
 import math
 import time
@@ -19,23 +19,23 @@ from uav_ident_ros.messages.types import NS_PER_S
 from uav_ident_ros.ros import RELIABLE, to_stamp
 
 STALE = 0.5
-"""Time without a tick after which a run is aborted, s: ten at 20 Hz. By the node's clock and by one
-that never jumps: a simulation's /clock gets ahead of its Imu on a busy machine, or stands still."""
+"""Time without a tick after which a run is aborted, s: ten at 20 Hz. It must pass on the node's
+clock and on a steady clock: a simulation's /clock may run ahead of its Imu, or stand still."""
 
 SAMPLES_PER_CYCLE = 4.0
-"""Ticks in a cycle of the highest frequency that give its shape."""
+"""Ticks needed in a cycle of the highest frequency."""
 
 LOWEST_RATE = 2.0 / EXCITATION_TIMEOUT
-"""Rate of ticks, Hz, below which one lost message would end what is added."""
+"""Rate of ticks, Hz, below which one lost message would reach `EXCITATION_TIMEOUT`."""
 
 
 def slowest_ticks(highest: float) -> float:
-    """Return the rate of ticks, Hz, that signals up to a frequency, Hz, need."""
+    """Return the least rate of ticks, Hz, for signals up to a frequency, Hz."""
     return max(LOWEST_RATE, SAMPLES_PER_CYCLE * highest)
 
 
 class Excite:
-    """Starts and ends runs of excitation, and publishes what they ask for."""
+    """Starts and ends runs of excitation, and publishes their signals."""
 
     def __init__(self, node: Node, identifier: OnlineIdentifier) -> None:
         self._node, self._identifier = node, identifier
@@ -43,13 +43,13 @@ class Excite:
         self._clock = node.get_clock()
         self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
         self._run = ExcitationRun(identifier.structure)
-        # Whether the identifier is told what is published: nobody else says what is injected
+        # Whether the identifier gets the signal from here: no other node publishes the injected one
         self._own = True
-        self._ticked = (0, 0.0)  # when, by the node's clock, ns, and by the steady one, s
+        self._ticked = (0, 0.0)  # time of the last tick by the node's clock, ns, and the steady, s
         self._estimate: Estimate | None = None
 
     def request(self, wanted: bool) -> tuple[bool, str]:
-        """Start a run, or abort it; return whether that was done, and a line that says so."""
+        """Start a run, or abort it; return the success and a message."""
         if not wanted:
             self.abort("aborted: asked for")
             return True, "excitation is zero"
@@ -71,7 +71,7 @@ class Excite:
         return self._run.start(settings, self._identifier.flying(), estimate)
 
     def tick(self, estimate: Estimate) -> None:
-        """Publish what is asked for after a tick."""
+        """Publish the excitation after a tick."""
         self._ticked, self._estimate = (self._now_ns(), time.monotonic()), estimate
         before = self._run.active
         injection = self._run.step(self._identifier.flying(), estimate)
@@ -81,12 +81,12 @@ class Excite:
             self._log_end()
 
     def watch(self) -> None:
-        """Abort where ticks fail to come; to be called at the rate of the ticks."""
+        """Abort the run if ticks stop; to be called at the rate of the ticks."""
         if self._run.active and self._stale():
             self.abort("aborted: no ticks any more: rates or actuators do not arrive")
 
     def abort(self, why: str) -> None:
-        """Publish zero at once, and let that be the end of the run; without one, do nothing."""
+        """Publish zero and end the run; without a run, do nothing."""
         if not self._run.active:
             return
         t_ns = self._identifier.intake.newest_ns
@@ -95,7 +95,7 @@ class Excite:
         self._log_end()
 
     def values(self) -> Iterator[tuple[str, str]]:
-        """Yield what is worth showing, each with its label."""
+        """Yield the state of the run for /diagnostics, each value with its label."""
         run, taught = self._run, self._run.sufficiency
         yield "state", run.phase.value
         yield "last run", run.why or "none yet"

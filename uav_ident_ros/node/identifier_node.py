@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `identifier`: the identification pipeline behind ROS topics and services.
 
-There is no estimation logic here: messages go in, due ticks are asked for, estimates go out.
+The node has no estimation logic: it passes messages in, requests due ticks and publishes estimates.
 """
 
 import time
@@ -38,8 +38,8 @@ DIAGNOSTICS_PERIOD = 1.0
 """Interval of /diagnostics, s, on a steady clock."""
 
 LOOKS_PER_TICK = 5
-"""How often the timer asks for due ticks in the time of one. Asked once, a tick waited for up to a
-whole period more: 25 ms in the mean, of coefficients that controllers wait for."""
+"""Requests for due ticks per tick period. With one, a tick would wait for up to a period, 25 ms in
+the mean, and controllers with it."""
 
 
 class IdentifierNode(Node):
@@ -79,7 +79,7 @@ class IdentifierNode(Node):
     # -- wiring ----------------------------------------------------------------------------
 
     def _offer(self, kind: type, name: str, act: Callable[[Any], tuple[bool, str]]) -> None:
-        """Offer a service that says, in its answer and in the log, whether and what it did."""
+        """Offer a service whose response and log line report the success and the result."""
 
         def answer(request: Any, response: Any) -> Any:
             self._inputs.empty()
@@ -92,17 +92,17 @@ class IdentifierNode(Node):
             response.success, response.message = False, self._guard.problem
             return response
 
-        answer.__name__ = name  # as an internal error names it
+        answer.__name__ = name  # for the text of internal errors
         self.create_service(kind, f"~/{name}", self._guard(answer, failed))
 
     def _watch_time(self, period: float, jump: Duration) -> None:
-        """Ticks on the node's clock; diagnostics on one that never stops; jumps of /clock."""
+        """Create the timers of ticks and, on a steady clock, diagnostics; handle time jumps."""
         tick = self._guard(self._on_timer, self._recover)
         self.create_timer(period, tick)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         diagnose = self._guard(self._on_diagnostics)
         self.create_timer(DIAGNOSTICS_PERIOD, diagnose, clock=self._steady)
-        # Keep the handle: the callback goes with it.
+        # The callback is removed with its handle.
         self._jump_handle = self.get_clock().create_jump_callback(
             JumpThreshold(
                 min_forward=jump,
@@ -129,18 +129,18 @@ class IdentifierNode(Node):
         self._excite.watch()
 
     def _recover(self) -> None:
-        """Go on after an error that nobody foresaw."""
+        """Continue after an unforeseen error."""
         self._excite.abort("aborted: an internal error")
         self.identifier.restart()
 
     def _on_jump(self, jump: TimeJump) -> None:
-        """Start again after a jump of /clock; cold if it went back under use_sim_time."""
+        """Restart after a jump of /clock; cold if it went back under use_sim_time."""
         self._inputs.empty()
         self._excite.abort("aborted: the time jumped")
         now_ns = self.get_clock().now().nanoseconds
         if jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
             if now_ns == jump.delta.nanoseconds:
-                return  # the first /clock: before it, there was no time to jump from
+                return  # the first /clock is no jump
             cold = jump.delta.nanoseconds < 0
             what = f"/clock jumped by {jump.delta.nanoseconds * 1e-9:+.3f} s"
         else:
@@ -193,7 +193,7 @@ class IdentifierNode(Node):
 
     def _log(self, level: bytes, line: str) -> None:
         log = self.get_logger()
-        # rclpy allows one severity for a line of the source.
+        # rclpy allows one severity per line of source.
         if level == DiagnosticStatus.OK:
             log.info(line)
         elif level == DiagnosticStatus.WARN:
@@ -202,7 +202,7 @@ class IdentifierNode(Node):
             log.error(line)
 
     def _state(self) -> tuple[str, str]:
-        """State word and reason: what the inputs say first, then what the estimate says."""
+        """Return state and reason: those of faults first, then of inputs, then of the estimate."""
         missed = self._waiting.reason(self._meter.count)
         fault = (
             self._guard.problem
@@ -216,7 +216,7 @@ class IdentifierNode(Node):
         return self._estimate.state, self._estimate.reason
 
     def _values(self) -> Iterator[tuple[str, str]]:
-        """Yield everything beneath the state, each with its label."""
+        """Yield the values of the status, each with its label."""
         yield "structure", self.identifier.settings.structure
         yield "estimator", self.identifier.settings.estimator
         yield "use_sim_time", str(self.get_clock().ros_time_is_active).lower()
@@ -231,13 +231,13 @@ class IdentifierNode(Node):
         yield from diagnostics.grouped("excite", self._excite.values())
 
     def finish(self) -> None:
-        """Stop exciting and keep what was learned: the program ends, and it was asked to."""
+        """Stop the excitation and save the coefficients at an orderly end of the program."""
         self._excite.abort("aborted: the program ends")
         self._memory.finish(self._estimate)
 
 
 def work(node: IdentifierNode, ending: Ending) -> int:
-    """Run `node` until it is asked to end, then keep what was learned."""
+    """Run `node` until a signal ends it, then save the coefficients."""
     status = spin(node, ending)
     node.finish()
     return status

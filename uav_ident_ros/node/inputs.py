@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions of the node: from a topic to the identifier, and what became of the messages."""
+"""Subscriptions of the node: from a topic to the identifier, with counts of used messages."""
 
 import time
 from collections.abc import Iterator
@@ -20,16 +20,16 @@ from uav_ident_ros.node.notices import Guard, Throttle, without_sources
 from uav_ident_ros.node.parameters import QOS_POLICIES
 
 LARGEST_INBOX = 200
-"""Messages that may wait to be looked at: where the timer stands still, with /clock."""
+"""Messages that may wait for the timer, which stands still if /clock does."""
 
 QUEUE_DEPTH = 500
-"""Messages kept while the node is busy: half a second at 1 kHz. A depth of 5 loses some."""
+"""Depth of the queue: half a second at 1 kHz. With a depth of 5 messages are lost."""
 
 _OVERRIDABLE = tuple(QoSPolicyKind[name.upper()] for name in QOS_POLICIES)
 
 
 class Input:
-    """One input: where its messages come from, and what became of them."""
+    """One input: its topic, its publishers, and the use of its messages."""
 
     def __init__(
         self, node: Node, stream: Stream, identifier: OnlineIdentifier, warnings: Throttle
@@ -37,8 +37,8 @@ class Input:
         self.stream = stream
         self.topic = node.resolve_topic_name(stream.topic)
         self.qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.publishers: list[str] = []  # Nodes that publish it
-        self.arrived: float | None = None  # When the last message did, by the steady clock
+        self.publishers: list[str] = []  # Nodes that publish the topic
+        self.arrived: float | None = None  # Arrival of the last message by the steady clock, s
         self.kind = import_type(stream.type_of(identifier.settings))
         self.feed = Feed(stream, identifier, self._decode, self._warn, self._log_offset)
         self._log, self._warnings = node.get_logger(), warnings
@@ -61,11 +61,11 @@ class Input:
         )
 
     def age(self) -> float | None:
-        """Seconds since the last message arrived; None before the first."""
+        """Return the time since the last message arrived, s; None before the first."""
         return None if self.arrived is None else time.monotonic() - self.arrived
 
     def values(self) -> Iterator[tuple[str, str]]:
-        """Yield what is to be shown, each with its label; the rate is that since the last time."""
+        """Yield the values for /diagnostics, with labels; the rate is that since the last call."""
         (since, count), now = self._rate_from, time.monotonic()
         received = self.feed.received
         self._rate_from = (now, received)
@@ -82,12 +82,11 @@ class Input:
 
 
 class Inputs:
-    """Subscribes to the streams, to the optional ones only if their type is set.
+    """Subscribes to the streams; to optional ones only if their type is set.
 
-    Messages wait as bytes, in the order of their arrival, to be looked at many at once: one by one,
-    each finds the processor's caches filled with something else, and takes several times as long.
-    As bytes, a message that cannot be decoded is refused like any other bad one; decoded by rclpy,
-    it would end the node.
+    Messages wait as bytes, in the order of arrival, and are processed many at a time. One at a
+    time takes several times as long, since the processor's caches are cold. As bytes, a message
+    that cannot be decoded is dropped; decoded by rclpy, it would end the node.
     """
 
     def __init__(
@@ -95,7 +94,7 @@ class Inputs:
     ) -> None:
         self._clock, self._guard = node.get_clock(), guard
         self._waiting: list[tuple[Input, bytes, int]] = []
-        self.all: dict[str, Input] = {}  # Those that are read, by the stream's name
+        self.all: dict[str, Input] = {}  # Subscribed inputs, by the stream's name
         for stream in STREAMS:
             if not stream.type_of(identifier.settings):
                 continue
@@ -104,27 +103,27 @@ class Inputs:
                 own.kind,
                 stream.topic,
                 partial(self._put, own),
-                own.qos,  # rclpy puts into it what is overridden
+                own.qos,  # rclpy writes overrides into it
                 qos_overriding_options=QoSOverridingOptions(_OVERRIDABLE),
                 raw=True,
             )
 
     @property
     def rates(self) -> RatesReader:
-        """What reads the rates: it knows their frame."""
+        """Reader of the rates, with their frame."""
         reader: RatesReader = self.all[RATES].feed.reader
         return reader
 
     def _put(self, own: Input, data: bytes) -> None:
         own.arrived = time.monotonic()
-        # rates carry a time of their own
+        # rates have stamps of their own
         arrival_ns = 0 if own.stream.name == RATES else self._clock.now().nanoseconds
         self._waiting.append((own, data, arrival_ns))
         if len(self._waiting) >= LARGEST_INBOX:
             self.empty()
 
     def empty(self) -> None:
-        """Hand out all messages that wait."""
+        """Process all waiting messages."""
         waiting, self._waiting = self._waiting, []
         for own, data, arrival_ns in waiting:
             try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state file: what the node has learned, kept from one flight to the next."""
+"""The state file: the coefficients of the node, kept from one flight to the next."""
 
 import json
 import math
@@ -24,13 +24,13 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import NO_FILE, Settings, SettingsError
 
 ANSWER_WITHIN = 0.02
-"""Seconds that a service call may wait for the disk: less than half a tick."""
+"""Longest wait of a service call for the disk, s: less than half a tick."""
 
 FINISH_WITHIN = 10.0
-"""Seconds that the end of the program may wait for a disk that hangs."""
+"""Longest wait for the disk at the end of the program, s."""
 
 ASIDE = ".refused"
-"""Added to the name of a file that could not be used, before another takes its place."""
+"""Suffix for an unusable file that is renamed before a new one is written."""
 
 MEANING = (
     "imu.convention",
@@ -45,12 +45,11 @@ MEANING = (
     "actuators.mixing.dth",
     "airspeed.reference",
 )
-"""Settings that say what a coefficient means: with others it is a coefficient of something
-else."""
+"""Settings that define the meaning of the coefficients: with others a file is not usable."""
 
 
 def state_path(settings: Settings, node_name: str) -> Path | None:
-    """Return where the node of this full name keeps its coefficients; None if it keeps none."""
+    """Return the path of the state file of the node of this full name; None if it has none."""
     if settings.state_file == NO_FILE:
         return None
     if settings.state_file:
@@ -62,14 +61,14 @@ def state_path(settings: Settings, node_name: str) -> Path | None:
 def recall(
     path: Path, settings: Settings, now: datetime
 ) -> tuple[CoefficientSet, Notes, timedelta]:
-    """Read a state file and how long ago it was saved; raise if it is not of this aircraft, or old.
+    """Return coefficients, notes and age of a state file; raise if too old or of other settings.
 
-    The age is by the computer's clock, as message time may be simulated. It is negative if that was
-    set back.
+    The age is by the computer's clock, since message time may be simulated. It is negative if that
+    clock was set back.
     """
     modified = path.stat().st_mtime
     coefficients, notes = load_with_notes(path, settings.structure)
-    # A file that was made by hand, or by replay, tells no time: that of the disk then.
+    # A file written by hand or by replay has no time: the file's modification time counts.
     age = now - (notes.saved or datetime.fromtimestamp(modified, UTC))
     if 0.0 < settings.state_max_age < age.total_seconds():
         raise CoefficientsFileError(
@@ -91,7 +90,7 @@ def _meaning(settings: Settings) -> dict[str, str]:
 
 
 def in_words(span: timedelta) -> str:
-    """Say how long a span is, in its largest unit."""
+    """Return a time span as text, in its largest unit."""
     seconds = span.total_seconds()
     for name, length in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
         if abs(seconds) >= 2.0 * length:
@@ -100,24 +99,24 @@ def in_words(span: timedelta) -> str:
 
 
 class Memory:
-    """Keeps the state file of a node.
+    """Reads and writes the state file of a node.
 
-    It is written when asked for, at the end, and at intervals while the coefficients are
-    usable. Coefficients that are not usable never replace usable ones by themselves. A thread
-    writes, one file at a time: a disk may be slow.
+    The file is written on request, at the end, and at intervals while the coefficients are usable.
+    Coefficients that are not usable replace usable ones only on request. A thread writes, one file
+    at a time, since a disk may be slow.
     """
 
     def __init__(self, identifier: OnlineIdentifier, node_name: str, log: RcutilsLogger) -> None:
         self._identifier, self._log = identifier, log
         self._path = state_path(identifier.settings, node_name)
-        self._refused = False  # Whether the file that is there is none of ours, and is kept aside
+        self._refused = False  # Whether the present file is unusable and must be kept as `ASIDE`
         self._disk = ThreadPoolExecutor(1)
         self._writing: Future[CoefficientSet] | None = None
         self._last_save = -math.inf
         self.forget()
 
     def start(self, now: datetime | None = None) -> None:
-        """Start warm if there is a good state file; if there is a bad one, say why not."""
+        """Start warm from a usable state file; log the problem of an unusable one."""
         if (path := self._path) is None:
             return
         try:
@@ -125,7 +124,7 @@ class Memory:
             held, notes, age = recall(path, self._identifier.settings, now or datetime.now(UTC))
             self._identifier.resume(held, notes.delay, notes.servo_lag)
         except FileNotFoundError:
-            # Say before the flight, not after it, that nothing can be written there.
+            # Warn before the flight if the file cannot be written.
             place = next(folder for folder in path.parents if folder.exists())
             if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
                 self._log.warning(f"cannot write '{path}': nothing can be written in '{place}'")
@@ -145,15 +144,15 @@ class Memory:
         self._log.info(f"started from '{path}', saved {in_words(age)} ago")
 
     def forget(self) -> None:
-        """After a reset, let whatever is learned from now on replace the file."""
+        """Allow any new coefficients to replace the file, after a reset."""
         self._holds_usable = False
-        # what needs no saving: what the file holds, or what is there at a cold start
+        # coefficients that need no saving: those of the file, or of a cold start
         self._known = self._identifier.coefficient_set()
 
     def save(self, estimate: Estimate | None, *, last: bool = False) -> tuple[bool, str]:
-        """Write the coefficients now, whatever they are worth; wait for the `last` ones.
+        """Write the coefficients now, usable or not; wait for the `last` ones.
 
-        Return whether they are written or being written, and a line that says which.
+        Return the success (written, or being written) and a message.
         """
         if (path := self._path) is None:
             return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
@@ -186,7 +185,7 @@ class Memory:
         return coefficients
 
     def _outcome(self, patience: float | None) -> str:
-        """Wait for what the thread writes, and note it; return what went wrong, or empty."""
+        """Wait for the thread and record its result; return the error, empty if none."""
         if self._writing is None or wait([self._writing], patience).not_done:
             return ""
         done, self._writing = self._writing, None
@@ -204,7 +203,7 @@ class Memory:
             self._log.error(failed)
 
     def attend(self, estimate: Estimate | None, now: float) -> None:
-        """Save usable coefficients when it is time, by a steady clock, s; call it each second."""
+        """Save usable coefficients if due; call it each second with a steady clock's time, s."""
         self._look()
         period = self._identifier.settings.save_period
         if estimate is None or not estimate.usable or not 0.0 < period <= now - self._last_save:
@@ -216,7 +215,7 @@ class Memory:
                 self._log.error(line)
 
     def finish(self, estimate: Estimate | None) -> None:
-        """Write what was learned, at the end of the program."""
+        """Write the coefficients at the end of the program."""
         if estimate is None or not self._changed(estimate):
             return
         if self._holds_usable and not estimate.usable:
@@ -228,7 +227,7 @@ class Memory:
             self._log.error(line)
 
     def _changed(self, estimate: Estimate) -> bool:
-        """Whether there is a file, and what was learned is not in it."""
+        """Whether there is a state file and the coefficients differ from its content."""
         if self._path is None:
             return False
         values = self._identifier.coefficient_set(estimate.t_ns).values

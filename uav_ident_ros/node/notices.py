@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node says in its log: often enough to be seen, never a flood; unforeseen errors, too."""
+"""Throttled log lines, and the handling of unforeseen errors."""
 
 import functools
 import re
@@ -12,15 +12,15 @@ from typing import ParamSpec, TypeVar
 import rclpy
 
 REPEAT_AFTER = 5.0
-"""Seconds until the same notice may be given again."""
+"""Shortest interval of one notice, s."""
 
 
 class Throttle:
-    """Passes a repeated notice on at once, then at most every few seconds, with its count."""
+    """Logs a notice at once, and repetitions at most every `REPEAT_AFTER`, with their count."""
 
     def __init__(
         self,
-        log: Callable[[str], object],  # Takes the line, ``logger.warning`` for example
+        log: Callable[[str], object],  # Writes a line, ``logger.warning`` for example
         # Monotonic seconds; not the node's clock, which may stand still
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -29,7 +29,7 @@ class Throttle:
         self._kept: Counter[tuple[str, ...]] = Counter()
 
     def notice(self, key: tuple[str, ...], line: str) -> None:
-        """Give a notice, or count it; what has the same key, (topic, reason), is the same one."""
+        """Log a notice, or count it if one of the same key, (topic, reason), was logged lately."""
         now = self._clock()
         if key in self._logged and now - self._logged[key] < REPEAT_AFTER:
             self._kept[key] += 1
@@ -40,12 +40,12 @@ class Throttle:
 
 
 def without_numbers(line: str) -> str:
-    """Return a line by which a change is told from the same with other numbers."""
+    """Return a line with its numbers masked, to compare lines."""
     return re.sub(r"\d+(\.\d+)?", "#", line)
 
 
 def without_sources(message: str) -> str:
-    """Return what ROS says in one line, without where in its own sources it arose."""
+    """Return an error message of ROS in one line, without places in its sources."""
     return " ".join(re.sub(r", at \S+:\d+", "", message).split())
 
 
@@ -54,7 +54,7 @@ R = TypeVar("R")
 
 
 class Guard:
-    """Wraps callbacks so that their errors are told instead of ending the node."""
+    """Wraps callbacks so that their errors are logged instead of ending the node."""
 
     def __init__(self, errors: Throttle) -> None:
         self._errors = errors
@@ -64,7 +64,7 @@ class Guard:
     def __call__(
         self, callback: Callable[P, R], otherwise: Callable[..., R] | None = None
     ) -> Callable[P, R | None]:
-        """Return `callback`, guarded: after a failure `otherwise` is called in its place."""
+        """Return a guarded `callback`; after an error `otherwise` is called."""
 
         @functools.wraps(callback)
         def guarded(*args: P.args, **kwargs: P.kwargs) -> R | None:
@@ -77,7 +77,7 @@ class Guard:
         return guarded
 
     def note(self, what: str, error: Exception) -> None:
-        """Tell of an error in `what` while it is handled; at the end of the program it is none."""
+        """Log the error in `what` that is being handled; raise it after the shutdown of ROS."""
         if not rclpy.ok():
             raise error
         self.count += 1

@@ -57,5 +57,5 @@ class Outputs:
 
 
 def _doubles(values: FloatArray) -> array[float]:
-    """Return numbers as rclpy takes them the fastest."""
+    """Return numbers as the array type that is fastest in rclpy."""
     return array("d", values.tobytes())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The settings as ROS parameters: declared with full descriptors, checked before anything runs.
 
-What rcl and rclpy let pass in silence is caught here: misspelt names, integers where a double
-belongs, arrays of the wrong length, ranges of array entries.
+The checks go beyond those of rcl and rclpy: misspelt names, integers in place of doubles, arrays
+of the wrong length, ranges of array entries.
 """
 
 import math
@@ -30,7 +30,7 @@ PARAMETER_TYPES = {
     "float[]": Parameter.Type.DOUBLE_ARRAY,
     "str[]": Parameter.Type.STRING_ARRAY,
 }
-"""Setting type to parameter type; what is not listed may be of either of two types."""
+"""Setting type to parameter type; settings of other types accept two parameter types."""
 
 QOS_POLICIES: dict[str, dict[str, Any]] = {
     "history": {"type": "str", "choices": ("keep_last", "keep_all")},
@@ -38,12 +38,12 @@ QOS_POLICIES: dict[str, dict[str, Any]] = {
     "reliability": {"type": "str", "choices": ("reliable", "best_effort", "system_default")},
     "durability": {"type": "str", "choices": ("volatile", "transient_local", "system_default")},
 }
-"""QoS policies of the subscriptions that may be overridden, and what is allowed. rclpy ignores a
-misspelt override, and fails on a wrong one."""
+"""QoS policies of the subscriptions that may be overridden, with the allowed values. rclpy ignores
+a misspelt override, and fails on a wrong one."""
 
 
 def settings_of(node: Node, topics: Sequence[str]) -> Settings:
-    """Build the settings from what the command line and the parameter files give to `node`.
+    """Build the settings from the parameters of the command line and the parameter files.
 
     The QoS of its subscriptions to `topics` may be overridden.
 
@@ -54,8 +54,8 @@ def settings_of(node: Node, topics: Sequence[str]) -> Settings:
     """
     overridable = _qos_settings([node.resolve_topic_name(topic) for topic in topics])
     values: dict[str, object] = {}
-    # rclpy has no public accessor (rclcpp has get_parameter_overrides), and declaring them all
-    # automatically fails on an empty list.
+    # rclpy has no public accessor (rclcpp has get_parameter_overrides), and automatic declaration
+    # fails on an empty list.
     for name, parameter in node._parameter_overrides.items():
         if name in overridable:
             overridable[name].check(parameter.value)
@@ -68,7 +68,7 @@ def settings_of(node: Node, topics: Sequence[str]) -> Settings:
 
 
 def _qos_settings(topics: Sequence[str]) -> dict[str, Setting]:
-    """Return what of the QoS of these subscriptions may be overridden, by the parameter's name."""
+    """Return the settings for the QoS of these subscriptions, by the parameter's name."""
     names = {
         f"{QOS_PREFIX}{topic}.subscription.{policy}": allowed
         for topic in topics
@@ -90,7 +90,7 @@ def declare(node: Node, settings: Settings) -> None:
         if kind is None:
             node.declare_parameter(name, plain, final, ignore_override=True)
             continue
-        # Declare, set, then seal: an empty list has no type that rclpy could infer.
+        # The final descriptor comes last: rclpy cannot infer the type of an empty list.
         open_ = ParameterDescriptor(description=final.description)
         node.declare_parameter(name, kind, open_, ignore_override=True)
         node.set_parameters([Parameter(name, kind, plain)])
@@ -98,7 +98,7 @@ def declare(node: Node, settings: Settings) -> None:
 
 
 def descriptor(setting: Setting) -> ParameterDescriptor:
-    """Describe a setting to ``ros2 param describe`` and rqt_reconfigure."""
+    """Return the descriptor of a setting, for ``ros2 param describe`` and rqt_reconfigure."""
     unit = f" [{setting.unit}]" if setting.unit else ""
     result = ParameterDescriptor(
         name=setting.name,
@@ -117,7 +117,7 @@ def descriptor(setting: Setting) -> ParameterDescriptor:
 
 
 def _constraints(setting: Setting) -> str:
-    """Say what a descriptor's range cannot: words, the entries of arrays, what a change does."""
+    """Return constraints as text: choices, ranges of array entries, the effect of a change."""
     parts = []
     if setting.choices:
         parts.append(f"one of: {setting.allowed()}")
@@ -131,10 +131,10 @@ def _constraints(setting: Setting) -> str:
 
 
 def follow_changes(node: Node, settings: Settings, apply: Callable[[Settings], object]) -> None:
-    """Judge changes of parameters at run time by the declaration, and pass on what is allowed.
+    """Check changes of parameters at run time against the declaration, and apply allowed ones.
 
-    The node's services run between its ticks, and so does what is done here. Parameters that
-    are set atomically come together, and are judged and applied as one.
+    The callbacks run between ticks, like services. Parameters that are set atomically are checked
+    and applied together.
     """
 
     def changed(parameters: list[Parameter]) -> Settings:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node as a program: started or refused in one line, run until it is asked to end."""
+"""A node as a program: one line on a wrong start, an orderly end on a signal."""
 
 import itertools
 import re
@@ -35,7 +35,7 @@ from uav_ident_ros.node.notices import without_sources
 
 
 class UsageError(Exception):
-    """The command line holds something that is not for this program."""
+    """The command line has an unknown argument."""
 
 
 REFUSALS = (
@@ -52,11 +52,11 @@ REFUSALS = (
     rclpy_implementation.RCLError,
     rclpy_implementation.UnknownROSArgsError,
 )
-"""What a wrong command line, parameter or file raises before the node runs."""
+"""Exceptions of a wrong command line, parameter or file before the node runs."""
 
 
 def explain(error: Exception) -> str:
-    """Say in one line what is wrong, by one of `REFUSALS`, and what would be right."""
+    """Return one line with problem and cure for one of `REFUSALS`."""
     message = without_sources(str(error))
     if isinstance(error, rclpy_implementation.UnknownROSArgsError):
         return f"unknown ROS arguments {message}"
@@ -72,7 +72,7 @@ def explain(error: Exception) -> str:
     if option == "--params-file":
         try:
             ParameterFile.read(text)
-        except ParameterFileError as found:  # says what is wrong better than rcl does
+        except ParameterFileError as found:  # has a clearer text than the error of rcl
             return str(found)
     if "same type" in reason:
         reason += ": write every number of a list with a decimal point, like [1.0, 0.5]"
@@ -84,19 +84,19 @@ _FIXES = {"BOOL": "write true or false, without quotes", "INTEGER": "write a who
 
 
 SPIN_TIME = 0.1
-"""Seconds that the executor may go on before the program looks whether it was asked to end."""
+"""Interval at which the program checks for a request to end, s."""
 
 AnyNode = TypeVar("AnyNode", bound=Node)
 
 
 def run(
-    name: str,  # Of the program, for what it says before there is a node
+    name: str,  # Name of the program, for errors before there is a node
     make: Callable[[], AnyNode],  # Makes the node, or raises one of `REFUSALS`
-    # Lets the node work until the ending is asked for; returns the exit status
+    # Runs the node until the end is requested; returns the exit status
     work: Callable[[AnyNode, Ending], int],
     args: Sequence[str] | None,  # Command line, the program's name first; None for the process's
-    usage: str,  # What ``--help`` prints
-    ending: Ending | None = None,  # Takes the signals, if made before the imports
+    usage: str,  # Text of ``--help``
+    ending: Ending | None = None,  # Handler of signals, if made before the imports
 ) -> int:
     """Run a node as a program; return its exit status: 2 if it was started wrongly."""
     argv, ending = sys.argv if args is None else args, ending or Ending()
@@ -109,7 +109,7 @@ def run(
                 f"unknown argument '{stray[0]}': parameters are given as "
                 "--ros-args --params-file FILE, or --ros-args -p NAME:=VALUE"
             )
-        # rcl logs that it failed, without saying why: `explain` says it, once.
+        # The log line of rcl has no reason; `explain` gives it.
         rclpy.logging.set_logger_level("rcl", LoggingSeverity.FATAL)
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
         rclpy.logging.set_logger_level("rcl", LoggingSeverity.UNSET)
@@ -130,7 +130,7 @@ def run(
 
 
 def _log_sources(node: Node, argv: Sequence[str]) -> None:
-    """Log which sections of which parameter files are for a node; refuse a file with none."""
+    """Log the sections of parameter files that apply to a node; raise if a file has none."""
     for option, path in itertools.pairwise(argv):
         if option == "--params-file":
             sections = ParameterFile.read(path).sections_for(node.get_fully_qualified_name())
@@ -139,22 +139,22 @@ def _log_sources(node: Node, argv: Sequence[str]) -> None:
 
 
 def spin(node: Node, ending: Ending) -> int:
-    """Let `node` work until the program is asked to end; return the exit status."""
+    """Run `node` until the end is requested; return the exit status."""
     executor = make_executor(node.get_clock().ros_time_is_active)
     executor.add_node(node)
-    # The events executor's spin() never returns; with a timeout it does. Waiting for what never
-    # comes, it stays in its own loop for that long, where spin_once leaves it after every message.
+    # The events executor's spin() never returns, and spin_once returns after every message.
+    # Waiting with a timeout for a future that is never done keeps it in its own loop.
     while rclpy.ok() and not ending.requested:
         executor.spin_until_future_complete(Future(), timeout_sec=SPIN_TIME)
     return 0
 
 
 def make_executor(simulated_time: bool) -> Executor:
-    """Return the events executor, at half the cost of the other, where it can be used.
+    """Return the events executor, at half the processor load, unless time is simulated.
 
-    It came with rclpy 7.1.4. When /clock moves on while a callback runs, it calls a timer once
-    for every step of /clock and then pauses as many periods: under simulated time the other
-    one is right.
+    It exists since rclpy 7.1.4. If /clock advances during a callback, it calls a timer once per
+    step of /clock and then pauses as many periods. Under simulated time the single-threaded
+    executor is used.
     """
     if not simulated_time:
         try:
@@ -176,7 +176,7 @@ parameters, with their defaults:
 
 
 def usage(name: str, text: str, settings: Iterable[Setting]) -> str:
-    """Return what ``--help`` prints: how a node is started, what it does, every parameter."""
+    """Return the text of ``--help``: usage, description, every parameter."""
     entries = []
     for setting in settings:
         unit = f" {setting.unit}" if setting.unit else ""
@@ -186,15 +186,15 @@ def usage(name: str, text: str, settings: Iterable[Setting]) -> str:
 
 
 def read_parameters(
-    node: Node,  # Another node of this package than the identifier
-    settings: Iterable[Setting],  # A list of numbers has as many of them as its default
+    node: Node,  # Any node of this package but the identifier
+    settings: Iterable[Setting],  # A list of numbers must be as long as its default
 ) -> dict[str, Any]:
     """Declare the parameters of a node; return their values by name.
 
     Raises
     ------
     SettingsError
-        If a value is not allowed; the message says what is.
+        If a value is not allowed; the message has the allowed ones.
     """
     values: dict[str, Any] = {}
     for setting in settings:

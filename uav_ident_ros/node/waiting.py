@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why there is no estimate: what does not arrive, and what arrives and cannot be used.
+"""Reasons for missing estimates: inputs that do not arrive, and inputs that cannot be used.
 
-What the ROS graph says about an input is part of it: who publishes it, as what, and what is meant
-instead.
+The ROS graph gives the publishers of an input, their types and QoS, and alternative topics.
 """
 
 import difflib
@@ -22,17 +21,17 @@ from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.node.inputs import Input
 
 OWN_OUTPUT = "coefficients_named"
-"""Where a node publishes this, its other topics are an identifier's outputs: nobody's inputs."""
+"""Topic that marks a node as an identifier, whose topics are no inputs."""
 
 UNHEARD: dict[str, tuple[ReliabilityPolicy | DurabilityPolicy, ...]] = {
     "reliability": (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
     "durability": (DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL),
 }
-"""What a publisher offers, by policy, that a subscription which asks for the second never hears."""
+"""Incompatible QoS, by policy: offered by a publisher, and requested by a subscription."""
 
 
 def why_silent(node: Node, wanted: Input) -> str:
-    """Return why nothing arrives on a topic, and what to do about it."""
+    """Return the reason why nothing arrives on a topic, and the cure."""
     ends, kind = node.get_publishers_info_by_topic(wanted.topic), wanted.feed.type_name
     if not ends:
         return f"nobody publishes '{wanted.topic}': {_instead(node, wanted)}"
@@ -51,7 +50,7 @@ def why_silent(node: Node, wanted: Input) -> str:
 
 
 def _mismatch(offered: QoSProfile, wanted: Input) -> str:
-    """Say which policy keeps a publisher and a subscription apart; empty if none does."""
+    """Return the incompatible QoS policy of a publisher and a subscription; empty if none."""
     for policy, (less, more) in UNHEARD.items():
         if getattr(offered, policy) == less and getattr(wanted.qos, policy) == more:
             name = less.name.lower()
@@ -63,7 +62,7 @@ def _mismatch(offered: QoSProfile, wanted: Input) -> str:
 
 
 def _instead(node: Node, wanted: Input) -> str:
-    """Say which topic may be meant, or that there is none."""
+    """Return advice on a topic that may be meant, or that none fits."""
     found, stream, own = _published(node), wanted.stream, wanted.feed.type_name
     for kinds in ((own,), stream.types):
         fitting = {t: kind for t, types in found.items() for kind in types if kind in kinds}
@@ -77,7 +76,7 @@ def _instead(node: Node, wanted: Input) -> str:
 
 
 def _published(node: Node) -> dict[str, list[str]]:
-    """Return topics that others publish, and their types; without those of any identifier."""
+    """Return all published topics with their types, without those of identifiers."""
     topics = dict(node.get_topic_names_and_types())
     own = {name.rpartition("/")[0] for name in topics if name.endswith(f"/{OWN_OUTPUT}")}
     return {
@@ -91,17 +90,17 @@ def _owner(end: TopicEndpointInfo) -> str:
     return f"{end.node_namespace.rstrip('/')}/{end.node_name}"
 
 
-# --- what is waited for ---------------------------------------------------------------------------
+# --- missing inputs -------------------------------------------------------------------------------
 
 
 class Progress:
-    """Tells for how long something has stood still."""
+    """Timer since the last change of a value."""
 
     def __init__(self, first: int | None) -> None:
         self._last, self._since = first, time.monotonic()
 
     def stood(self, value: int | None) -> float:
-        """Return for how many seconds it has been the same; 0 if it moved since the last look."""
+        """Return the time since the value changed, s; 0 if it differs from the last one."""
         now = time.monotonic()
         if value != self._last:
             self._last, self._since = value, now
@@ -109,16 +108,16 @@ class Progress:
 
 
 SILENT_AFTER = 2.0
-"""Seconds without a message, a tick, or progress of /clock, that are worth a word."""
+"""Seconds without a message, a tick, or progress of /clock, that are reported."""
 
 DISCOVERY_TIME = 1.5
-"""Seconds from the start in which the graph is not complete yet."""
+"""Seconds from the start in which the graph is incomplete."""
 
 ENOUGH = 5
-"""Messages that must be dropped, and none taken, before it is said of all of them."""
+"""Least number of messages, all dropped, that is reported."""
 
 LOOKS = 3
-"""Looks, a second apart, between which these are counted."""
+"""Checks, a second apart, over which these messages are counted."""
 
 CURES: dict[str, str] = {
     Drop.NOT_FINITE: "their values are not finite numbers: look at the source",
@@ -129,27 +128,26 @@ CURES: dict[str, str] = {
     Drop.LATE: "they come late: raise 'input_wait', or synchronise the clocks",
     Drop.DUPLICATE: "their stamps repeat: let the source stamp each",
 }
-"""What to do about messages that are all dropped for one reason, where what read them says nothing
-of its own."""
+"""Cures for messages that are all dropped for one reason, if their reader gives none."""
 
 
 class Waiting:
-    """Looks once a second for what keeps the node from an estimate."""
+    """Determines, once a second, the reason for missing estimates."""
 
     def __init__(self, node: Node, identifier: OnlineIdentifier, inputs: Iterable[Input]) -> None:
         self._node, self._identifier = node, identifier
-        self._inputs = [own for own in inputs if own.stream.setting]  # others need not come
+        self._inputs = [own for own in inputs if own.stream.setting]  # others are optional
         self._looks: dict[str, deque[tuple[int, Counter[str]]]] = {
             own.topic: deque(maxlen=LOOKS) for own in self._inputs
         }
         self._began = time.monotonic()
         self._clock, self._ticks, self._stamp = Progress(0), Progress(0), Progress(None)
-        # Whether the stamps of the rates went on until the last look. Where they do not, those of
-        # the actuators are soon far from them: that is no fault of the actuators
+        # Whether the stamps of the rates advanced before the last check. If not, the stamps of the
+        # actuators soon differ from them, without a fault of the actuators
         self.imu_moves = False
 
     def reason(self, ticks: int) -> str:
-        """Return what is missed after so many ticks, and what to do; empty if nothing is."""
+        """Return the missing input and the cure, given the number of ticks; empty if none."""
         ticks_stood = self._ticks.stood(ticks)
         self.imu_moves = self._stamp.stood(self._identifier.intake.newest_ns) == 0.0
         lost = [self._all_dropped(own) for own in self._inputs]
@@ -163,7 +161,7 @@ class Waiting:
         return "no tick is due any more" if ticks else "the first tick is not due yet"
 
     def _clock_stands(self) -> str:
-        """Say what is wrong with /clock if it stands still; empty if it moves, or is not used."""
+        """Return the problem of a /clock that stands still; empty if it advances or is unused."""
         clock = self._node.get_clock()
         now_ns = clock.now().nanoseconds
         if self._clock.stood(now_ns) <= SILENT_AFTER or not clock.ros_time_is_active:
@@ -176,9 +174,9 @@ class Waiting:
         return "/clock stands still"
 
     def _silent(self, own: Input) -> str:
-        """Say why no message of an input arrives; empty if they do."""
+        """Return the reason why no message of an input arrives; empty if they do."""
         age = own.age()
-        # Whether it is armed, some say only when it changes.
+        # Some autopilots publish the armed state only when it changes.
         if age is not None and (age <= SILENT_AFTER or own.stream.name == ARMED):
             return ""
         since = "yet" if age is None else f"for more than {SILENT_AFTER:g} s"
@@ -188,7 +186,7 @@ class Waiting:
         return f"{missed}: {why_silent(self._node, own)}"
 
     def _all_dropped(self, own: Input) -> str:
-        """Say why every message of the last seconds was dropped; empty if one was not."""
+        """Return the reason why all messages of the last seconds were dropped; empty if not all."""
         now, looks = (own.feed.received, own.feed.drops()), self._looks[own.topic]
         looks.append(now)
         received, dropped = now[0] - looks[0][0], now[1] - looks[0][1]
@@ -199,7 +197,7 @@ class Waiting:
         return f"every message on '{own.topic}' is dropped: {what}"
 
     def warnings(self) -> list[str]:
-        """Return what does not keep it from learning and is wrong all the same, a line each."""
+        """Return the problems that do not prevent learning, a line each."""
         node = self._node
         lines = [unmeasured(self._identifier.settings)]
         named = node.get_node_names_and_namespaces()
