@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`replay`: the identifier over recorded flights, and how good its models were."""
+"""`replay`: the identifier on recorded flights, with scores of its models."""
 
 import argparse
 import os
@@ -11,7 +11,7 @@ from uav_ident_ros.commandline import OneLineParser, number
 NODE_NAME = "/identifier"
 
 USABLE, NOT_USABLE, NO_RESULT = 0, 1, 2
-"""Exit status: what scripts are told."""
+"""Exit statuses."""
 
 DESCRIPTION = """\
 Run the identifier over recorded flights, as the node would have run, and score its predictions.
@@ -38,7 +38,7 @@ examples:
 def main(args: list[str] | None = None) -> int:
     """Run the command; the return value is the exit status, see `replay --help`."""
     command_line = parser()
-    options = command_line.parse_args(args)  # help needs none of what follows
+    options = command_line.parse_args(args)  # help needs none of the imports below
     try:
         from uav_ident_ros.offline.command import run
     except ModuleNotFoundError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to do about a model, in words: each piece of advice is one function of what was measured."""
+"""Advice on a replay: each piece is the text of one function of the evidence."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -19,63 +19,63 @@ from uav_ident_ros.offline.evidence import ROW_FORCES, Evidence
 from uav_ident_ros.offline.tables import AXES
 
 MAIN_DERIVATIVES: Mapping[str, str] = {"de": "qdot/de", "dr": "rdot/dr", "da": "pdot/da"}
-"""The derivative that each surface is there for; throttle has none that is worth its own flight."""
+"""Main control derivative of each surface; throttle has none."""
 
 STILL = 1e-9
-"""Standard deviation of an input below which it has not moved at all, in its own unit."""
+"""Standard deviation of an input below which it has not moved, in its own unit."""
 
 DELAY_OFF = 0.02
-"""Difference between the delay in use and the one measured that costs accuracy, s: the fit loses
-a point or two for each 10 ms."""
+"""Difference between the delay in use and the estimated one that is reported, s: the fit loses a
+point or two for each 10 ms."""
 
 DELAY_SIGMAS = 3.0
-"""Sigmas from the delay in use at which one that is not sure is worth a trial."""
+"""Sigmas from the delay in use at which a trial of an estimate that is not sure is advised."""
 
 FORCE_SHARE = 0.15
-"""Share of a row's residual that a specific force must explain to be worth a regressor."""
+"""Share of a row's residual that a specific force must explain to be advised as a regressor."""
 
 FEW_POINTS = 20.0
-"""Points of the fit that are worth no word: from measured forces, that a planner without them will
-miss, or missing to a perfect fit."""
+"""Points of the fit that are not reported: a gain by measured forces, which a controller does not
+have, or a loss relative to a perfect fit."""
 
 LARGEST_NOISE = 0.1
-"""Gyro noise from which the least-squares start suffers whatever is flown, rad/s: 6 deg/s."""
+"""Gyro noise from which the least-squares start is poor in any flight, rad/s: 6 deg/s."""
 
 NOISE_SHARE = 0.3
-"""Gyro noise as a share of the rates' own spread from which the flight is too gentle for it."""
+"""Gyro noise over the standard deviation of the rate from which the excitation is too weak."""
 
 SLOW_IMU = 49.0
-"""Rate of the Imu, Hz: below 50 (less a little jitter) the roll mode falls between the samples."""
+"""Rate of the Imu, Hz: below 50 (less a little jitter) the samples do not resolve the roll mode."""
 
 SLOW_ACTUATORS = 24.0
-"""Rate of the actuators, Hz: below 25 it is a guess what they did in between."""
+"""Rate of the actuators, Hz: below 25 their motion between the samples is unknown."""
 
 FAST_LOGS = (
     "PX4: SDLOG_PROFILE bit 4, 'high rate'; ArduPilot: LOG_BITMASK bits 0, 'fast attitude', and "
     "18, 'fast IMU', of a Copter, 13, 'RC input-output', and 19, 'raw IMU', of a Plane"
 )
-"""What makes an autopilot log fast enough: the same as in import_logs' tables, which say more."""
+"""Settings for fast logs of an autopilot; the tables of import_logs have them in detail."""
 
 EXCITING_MODES = "an autopilot's autotune does that, and ArduPilot's SystemID mode (SID_AXIS)"
-"""Who moves the surfaces as it is needed."""
+"""Sources of suitable excitation."""
 
 DROPPED_SHARE = 0.01
-"""Share of dropped messages that is no accident."""
+"""Share of dropped messages that is reported."""
 
 SIGN_SIGMAS = 3.0
-"""Sigmas from which a wrong sign is no noise."""
+"""t-ratio from which a wrong sign is significant."""
 
 SHORT_FLIGHT = 60.0
-"""Duration below which cross couplings have hardly come, s."""
+"""Duration below which cross couplings are hardly identified, s."""
 
 GROUNDED = ("not armed", "no message says that it is armed", "not flying", "at rest")
-"""How the reasons begin that say that the aircraft does not fly."""
+"""First words of the reasons of an aircraft that does not fly."""
 
 GROUNDED_SHARE = 0.9
 """Share of the ticks on the ground from which a bag is no flight."""
 
 LOST_SHARE = 0.3
-"""Share of the ticks lost to one gate that deserves a word."""
+"""Share of the ticks lost to one gate that is reported."""
 
 DAMPING = ("pdot/p", "qdot/q", "rdot/r")
 
@@ -83,12 +83,12 @@ DAMPING = ("pdot/p", "qdot/q", "rdot/r")
 class Advice(NamedTuple):
     """A piece of advice."""
 
-    name: str  # What it is about, for programs: the name of its function
-    text: str  # What was found and what to do, for people
+    name: str  # Name of its function, for programs
+    text: str  # Problem, evidence and cure, for people
 
 
 def never_flew(e: Evidence) -> Iterator[str]:
-    """Say that the aircraft was on the ground, or said to be, for all or nearly all of the bag."""
+    """Yield advice if the aircraft did not fly in nearly all of the bag, or was not armed."""
     reasons = {r: share for r, share in e.lost.items() if r.startswith(GROUNDED)}
     if sum(reasons.values()) > GROUNDED_SHARE:
         yield (
@@ -98,7 +98,7 @@ def never_flew(e: Evidence) -> Iterator[str]:
 
 
 def no_excitation(e: Evidence) -> Iterator[str]:
-    """Say that no surface moved at all: then nothing else matters."""
+    """Yield advice if no surface moved: then there is no model to judge."""
     if (e.input_spread[: INPUTS.index("dth")] < STILL).all():
         what = "roll, pitch or yaw input" if e.settings.actuators.multirotor else "surface"
         yield (
@@ -108,7 +108,7 @@ def no_excitation(e: Evidence) -> Iterator[str]:
 
 
 def gated(e: Evidence) -> Iterator[str]:
-    """Name what kept it from learning for a large part of the flight."""
+    """Yield the reasons that prevented learning for a large part of the flight."""
     for reason, share in e.lost.items():
         if share > LOST_SHARE and not reason.startswith(GROUNDED):
             setting = e.gate_settings.get(reason)
@@ -117,7 +117,7 @@ def gated(e: Evidence) -> Iterator[str]:
 
 
 def weak_excitation(e: Evidence) -> Iterator[str]:
-    """Name the surfaces that moved too little to know what they do."""
+    """Yield the surfaces that moved too little to identify their main derivatives."""
     words = AXIS_INPUT_WORDS if e.settings.actuators.multirotor else INPUT_WORDS
     needed = e.settings.supervision.min_t_ratio
     for name, derivative in MAIN_DERIVATIVES.items():
@@ -139,13 +139,13 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
 
 
 def wrong_setup(e: Evidence) -> Iterator[str]:
-    """Name the settings that widen sigma, but for a delay, of which the next piece tells."""
+    """Yield the settings that are off and widen sigma, without the delay (`wrong_delay`)."""
     told, _, _ = e.delay.contradiction(e.delay_in_use).partition(": ")  # without the cure
     yield from dict.fromkeys(r for r in e.setup if r and not r.startswith(told))
 
 
 def wrong_delay(e: Evidence) -> Iterator[str]:
-    """Say that the flight shows another delay than the one in use."""
+    """Yield advice if the estimated delay contradicts the one in use."""
     off = e.delay.off(e.delay_in_use)
     if abs(off) <= DELAY_OFF or e.delay.lag_off(e.lag_in_use):
         return
@@ -169,7 +169,7 @@ def wrong_delay(e: Evidence) -> Iterator[str]:
 
 
 def wrong_lag(e: Evidence) -> Iterator[str]:
-    """Say that the response to what was injected shows another servo lag than the one in use."""
+    """Yield advice if the lag of the response to injected signals contradicts the one in use."""
     in_use = e.lag_in_use
     if e.delay.lag_off(in_use):
         delay = max(e.delay.total - e.delay.lag, 0.0)
@@ -182,7 +182,7 @@ def wrong_lag(e: Evidence) -> Iterator[str]:
 
 
 def unknown_delay(e: Evidence) -> Iterator[str]:
-    """Say that a delay that is to be found was not."""
+    """Yield advice if the delay is to be estimated, and the estimate is not sure."""
     if not e.settings.actuators.estimate_delay or e.delay.sure:
         return
     if e.delay.delay - e.delay_in_use > DELAY_SIGMAS * e.delay.sigma:
@@ -209,7 +209,7 @@ def unknown_delay(e: Evidence) -> Iterator[str]:
 
 
 def row_needs_force(e: Evidence) -> Iterator[str]:
-    """Name the rows that a specific force would explain, in a structure without it."""
+    """Yield the rows whose residual a specific force would explain, as a regressor."""
     for row, share in e.force_share.items():
         if share > FORCE_SHARE:
             yield (
@@ -219,7 +219,7 @@ def row_needs_force(e: Evidence) -> Iterator[str]:
 
 
 def leans_on_force(e: Evidence) -> Iterator[str]:
-    """Name the axes whose fit comes from measured forces."""
+    """Yield the axes with a much higher fit with measured forces."""
     points = [
         f"{axis}: {measured - free:.0f} ({ROW_FORCES[row]})"
         for row, axis, measured, free in zip(
@@ -235,9 +235,9 @@ def leans_on_force(e: Evidence) -> Iterator[str]:
 
 
 def noisy_gyro(e: Evidence) -> Iterator[str]:
-    """Say where the gyro's noise is high by itself, or beside the rates that were flown.
+    """Yield the axes with a high gyro noise, absolute or relative to the rates flown.
 
-    Where the rates come seldom, what changes from sample to sample is motion.
+    With a slow Imu, differences of samples are motion and no measure of noise.
     """
     if 0.0 < e.imu_rate < SLOW_IMU:
         return
@@ -255,7 +255,7 @@ def noisy_gyro(e: Evidence) -> Iterator[str]:
 
 
 def slow_streams(e: Evidence) -> Iterator[str]:
-    """Name the messages that come too seldom."""
+    """Yield the streams whose message rate is too low."""
     slow = [
         f"of the {word} come at {rate:.0f} Hz: {needed + 1.0:.0f} Hz are needed"
         for word, rate, needed in (
@@ -269,7 +269,7 @@ def slow_streams(e: Evidence) -> Iterator[str]:
 
 
 def many_drops(e: Evidence) -> Iterator[str]:
-    """Name the streams of which a part was not used."""
+    """Yield the streams with dropped messages."""
     for stream, refusals in e.streams.items():
         dropped = sum(refusals.dropped.values())
         if dropped > DROPPED_SHARE * refusals.received:
@@ -278,13 +278,13 @@ def many_drops(e: Evidence) -> Iterator[str]:
 
 
 def assumed_airspeed(e: Evidence) -> Iterator[str]:
-    """Say that nobody has told how fast the aircraft flies."""
+    """Yield advice if the airspeed is neither measured nor set."""
     if problem := unmeasured(e.settings):
         yield problem
 
 
 def wrong_sign(e: Evidence) -> Iterator[str]:
-    """Name the damping that drives the motion instead."""
+    """Yield the damping derivatives that are significantly positive."""
     for name in DAMPING:
         ratio = e.t_ratio(name)
         if ratio is not None and ratio > SIGN_SIGMAS and e.values[e.structure.index(name)] > 0.0:
@@ -295,13 +295,13 @@ def wrong_sign(e: Evidence) -> Iterator[str]:
 
 
 def short_flight(e: Evidence) -> Iterator[str]:
-    """Say that the flight is over before the couplings have shown."""
+    """Yield advice if the flight is too short to identify cross couplings."""
     if e.duration < SHORT_FLIGHT:
         yield f"the flight is short, {e.duration:.0f} s: excite it for two minutes"
 
 
 def no_better_than_holding(e: Evidence) -> Iterator[str]:
-    """Name the axes that the model predicts no better than no model at all, and where to look."""
+    """Yield the axes whose rate the model predicts no better than holding it."""
     explained = any(any(cause(e)) for cause in (slow_streams, gated, weak_excitation))
     look = "" if explained else ": look at the delay, the signs and the channels first"
     for axis, model, hold in zip(AXES, e.fit.model, e.fit.hold, strict=True):
@@ -313,7 +313,7 @@ def no_better_than_holding(e: Evidence) -> Iterator[str]:
 
 
 def collinear_groups(e: Evidence) -> Iterator[str]:
-    """Name the coefficients of which only a combination is known, where a surface is among them."""
+    """Yield the groups of collinear coefficients with a main control derivative."""
     groups = [g for g in e.collinear if any(name in MAIN_DERIVATIVES.values() for name in g)]
     if groups:
         listed = "; ".join(" and ".join(group) for group in groups)
@@ -323,7 +323,7 @@ def collinear_groups(e: Evidence) -> Iterator[str]:
 
 
 ROOT_CAUSES: tuple[Callable[[Evidence], Iterator[str]], ...] = (never_flew, no_excitation)
-"""With one of these no other cause within the model is worth a look: there is no model."""
+"""Advice on bags without a model: no other advice on the model applies."""
 
 ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     *ROOT_CAUSES,
@@ -344,14 +344,14 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     short_flight,
     collinear_groups,
 )
-"""All advice: what explains the next comes first, but see `_is_cheap`."""
+"""All advice: causes before their effects, but see `_is_cheap`."""
 
 OF_THE_BAG = (slow_streams, many_drops, short_flight)
-"""Advice that holds without a model, too."""
+"""Advice that applies without a model, too."""
 
 
 def advise(evidence: Evidence) -> tuple[Advice, ...]:
-    """Return what there is to say about a replay, the first cause first."""
+    """Return the advice on a replay, causes before their effects."""
     for cause in ROOT_CAUSES:
         if any(cause(evidence)):
             return _pieces((cause, *OF_THE_BAG), evidence)
@@ -359,7 +359,7 @@ def advise(evidence: Evidence) -> tuple[Advice, ...]:
 
 
 def _is_cheap(piece: Callable[[Evidence], Iterator[str]], evidence: Evidence) -> bool:
-    """Whether it costs few points, whatever it says: slow messages cost the best axis, too."""
+    """Whether a piece is minor: slow messages, if the best axis has nearly a perfect fit."""
     best = float(np.fmax.reduce(evidence.fit.model))
     return piece is slow_streams and 100.0 - best < FEW_POINTS
 

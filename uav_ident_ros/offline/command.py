@@ -30,16 +30,16 @@ from uav_ident_ros.offline.tables import (
 )
 
 WORST_FIT = -100.0
-"""Fit below which an axis counts no worse, percent: one that diverges must not hide the others."""
+"""Lower limit of an axis in the mean fit, percent: one that diverges must not hide the others."""
 
 LOWEST_SHOWN = -1000.0
-"""Fit below which the number says nothing more, percent."""
+"""Lowest fit shown as a number, percent."""
 
 HEAD = tuple(f"fit {axis}" for axis in AXES)
 
 
 def percent(value: float | None) -> Cell:
-    """Return a percentage, or that it is below all that says something."""
+    """Return a percentage, or the lower limit if it is below that."""
     if value is not None and value <= LOWEST_SHOWN:
         return f"<{LOWEST_SHOWN:.0f}"
     return Number(value, ".1f")
@@ -103,7 +103,7 @@ def run(command_line: argparse.ArgumentParser, options: argparse.Namespace) -> i
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception:
-        # Python's own status for it, 1, would say that there is a result.
+        # Python's own status for it, 1, would mean a result.
         traceback.print_exc()
     return NO_RESULT
 
@@ -119,7 +119,7 @@ def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path, *files
         options.plot,
         options.report,
         options.aircraft or bag.resolve().parent.name,
-        # what is compared may be code under work, which no version tells apart
+        # comparisons may be of code under development, of the same version
         again=options.again or bool(options.compare),
     )
 
@@ -136,14 +136,14 @@ def _one(options: argparse.Namespace) -> int:
 
 
 def _all(jobs: Sequence[Job], options: argparse.Namespace) -> list[Outcome]:
-    """Do the jobs, and pass their warnings on."""
+    """Run the jobs and print their warnings."""
     outcomes = replay_all(jobs, options.jobs, options.scheduler)
     _warn(*(f"{o.job.name}: {warning}" for o in outcomes for warning in o.warnings))
     return outcomes
 
 
 def _many(options: argparse.Namespace) -> int:
-    arrow()  # without it there would be no table of what is about to take hours
+    arrow()  # fails before the replays, which may take hours
     bags = _bags_of(options.bags)
     where, folder = options.output or Path(), "{}" if options.output else "replay_{}"
     named = zip(bags, names_of(bags), strict=True)
@@ -157,7 +157,7 @@ def _many(options: argparse.Namespace) -> int:
 
 
 def _bags_of(paths: Sequence[Path]) -> list[Path]:
-    """Return the bags that paths stand for; an empty folder must not stop the others."""
+    """Return the bags of some paths; an empty folder stays, to be reported without a result."""
     found = [find_bags(path) for path in paths]
     if not any(found):
         raise BagError(

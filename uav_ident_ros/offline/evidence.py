@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a replayed flight measures of itself: the numbers that advice is drawn from."""
+"""Measured quantities of a replayed flight, the basis of the advice."""
 
 import re
 from collections import Counter
@@ -21,7 +21,7 @@ FULL = STRUCTURES["augmented"]
 FIT_WINDOWS = "last_40_percent"
 
 ROW_FORCES: Mapping[str, str] = {"pdot": "ay", "qdot": "az", "rdot": "ay"}
-"""The specific force that stands for the flow angle of each row."""
+"""The specific force that replaces the flow angle of each row."""
 
 _DIFFERENCE_NOISE = 20.0**0.5
 """Standard deviation of the third difference of white noise, in units of that of the noise."""
@@ -29,8 +29,8 @@ _DIFFERENCE_NOISE = 20.0**0.5
 _NUMBER = re.compile(
     r"(?<![A-Za-z_\d])(?<![A-Za-z_\d]-)[-+]?\d+(?:[.,]\d+)*(?:e[-+]?\d+)?(?!\d|\.\d|-[a-z])"
 )
-"""What differs between reasons that are the same: numbers, but not those of a name (1-second,
-REP-103)."""
+"""Numbers in a reason, but not those of a name (1-second, REP-103): reasons that differ in their
+numbers alone are the same."""
 
 _NORMAL_MEDIAN = 0.6745
 """Median of the magnitude of a normal deviate, in units of its standard deviation."""
@@ -42,40 +42,39 @@ class Evidence:
 
     settings: Settings  # Settings in use
     structure: Structure  # Structure of the coefficients
-    # values, sigma: (3, n) The result and its standard deviations
+    # values, sigma: (3, n) Coefficients and their standard deviations
     values: FloatArray
     sigma: FloatArray
     fit: PredictionFit  # Score of record over the last part of the flight
     duration: float  # Time from the first to the last rates, s
     rate_spread: FloatArray  # (3,) Standard deviation of p, q, r, rad/s
-    gyro_noise: FloatArray  # (3,) Standard deviation of what changes from sample to sample, rad/s
+    gyro_noise: FloatArray  # (3,) Standard deviation of the gyro's white noise, rad/s
     input_spread: FloatArray  # (4,) Standard deviation of de, dr, da, dth
-    # imu_rate, actuator_rate: Median rates of the messages, Hz; 0 if there are too few to tell
+    # imu_rate, actuator_rate: Median rates of the messages, Hz; 0 if there are too few
     imu_rate: float
     actuator_rate: float
-    delay: DelayEstimate = NO_ESTIMATE  # What the flight says about the delay
-    delay_in_use: float = 0.0  # Delay that the identifier ended with, s
-    lag_in_use: float = 0.0  # Servo lag that it ended with, s
-    # For rows without their specific force: the share of what the row leaves unexplained that it
-    # would explain
+    delay: DelayEstimate = NO_ESTIMATE  # Estimate of the transport delay
+    delay_in_use: float = 0.0  # Delay in use at the end, s
+    lag_in_use: float = 0.0  # Servo lag in use at the end, s
+    # For rows without their specific force: the share of the residual that the force would explain
     force_share: Mapping[str, float] = field(default_factory=dict)
-    collinear: tuple[tuple[str, ...], ...] = ()  # Coefficients that the flight has not told apart
+    collinear: tuple[tuple[str, ...], ...] = ()  # Groups of collinear coefficients
     # Share of the ticks at which a gate was closed, for each reason, the largest first
     lost: Mapping[str, float] = field(default_factory=dict)
-    # Settings that go with those reasons
+    # Setting of the gate of each reason
     gate_settings: Mapping[str, str] = field(default_factory=dict)
-    # (3, n) Standard deviations without what settings that are off add, and those settings, by row
+    # (3, n) Standard deviations without the bias of settings that are off, and the error, by row
     scatter: FloatArray | None = None
     setup: tuple[str, ...] = ()
-    # (4,) Share of each input's motion that is surely an answer to disturbances
+    # (4,) Share of each input's motion that is feedback of disturbances, significantly
     answers: FloatArray = field(default_factory=lambda: np.zeros(len(INPUTS)))
-    # What became of the messages of each stream
+    # Counts of received and dropped messages of each stream
     streams: Mapping[str, Refusals] = field(default_factory=dict)
 
     def t_ratio(self, name: str, *, setup: bool = True) -> float | None:
-        """Magnitude of a coefficient in sigmas; None if it is fixed or not of the structure.
+        """Return the t-ratio of a coefficient; None if it is fixed or not of the structure.
 
-        Without `setup`, what settings that are off add to sigma does not count.
+        Without `setup`, sigma is without the bias of settings that are off.
         """
         if name not in self.structure.names:
             return None
@@ -86,9 +85,9 @@ class Evidence:
 
 
 def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
-    """Measure a replay that has at least one estimate."""
+    """Return the evidence of a replay with at least one estimate."""
     identifier = run.identifier
-    parts = time_bases(run.stretches())  # a gap of the recording begins another one
+    parts = time_bases(run.stretches())  # a part begins at each gap of the recording
     rates = np.concatenate([part.rates for part in parts])
     inputs = np.concatenate([part.inputs.u for part in parts])
     result = run.result()
@@ -124,21 +123,21 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
 def lost_to(estimates: Sequence[Estimate]) -> dict[str, float]:
     """Return the share of the ticks at which nothing was learned, for each reason.
 
-    Reasons that differ in their numbers alone are one; the largest share comes first.
+    Reasons that differ in their numbers alone count together; the largest share comes first.
     """
     reasons = Counter(reason_of(e) for e in estimates if not e.adapting)
     return {reason: count / len(estimates) for reason, count in reasons.most_common()}
 
 
 def reason_of(estimate: Estimate) -> str:
-    """Return why nothing was learned at a tick, without its numbers; empty if something was."""
+    """Return the reason not to learn at a tick, without its numbers; empty if there is none."""
     return "" if estimate.adapting else _NUMBER.sub("…", estimate.reason)
 
 
 def gyro_noise(*parts: FloatArray) -> FloatArray:
     """Estimate the white noise of evenly sampled rates (k, 3), same unit, from third differences.
 
-    An aircraft's motion hardly contributes to them at 50 Hz and more; vibration does.
+    The motion of an aircraft hardly contributes at 50 Hz and more; vibration does.
     """
     differences = np.concatenate([np.diff(rates, n=3, axis=0) for rates in parts])
     if not len(differences):
@@ -148,15 +147,15 @@ def gyro_noise(*parts: FloatArray) -> FloatArray:
 
 
 def _rate(parts: Sequence[TimeArray]) -> float:
-    """Median rate of stamps, Hz; 0 if there are fewer than two in all parts."""
+    """Return the median rate of stamps, Hz; 0 if all parts have fewer than two."""
     steps = np.concatenate([np.diff(t_ns) for t_ns in parts])
     return 1.0 / (float(np.median(steps)) * NS) if len(steps) else 0.0
 
 
 def _force_share(run: OfflineRun, parts: Sequence[Stretch]) -> dict[str, float]:
-    """Return the share of each row's residual that the force which is no regressor would explain.
+    """Return the share of each row's residual that its specific force as a regressor would explain.
 
-    Residuals are those of the filtered accelerations on the filtered regressors of all parts.
+    Residuals are those of least squares on the filtered signals of all parts.
     """
     settings, structure = run.inputs.settings, run.structure
     if structure.size >= FULL.size:
@@ -172,7 +171,7 @@ def _force_share(run: OfflineRun, parts: Sequence[Stretch]) -> dict[str, float]:
             products += signals.T @ signals
 
     def residual(row: int, columns: list[int]) -> float:
-        """Residual sum of squares of a row's acceleration on some columns."""
+        """Return the residual sum of squares of a row's acceleration on some columns."""
         y = FULL.size + row
         vector = products[columns, y]
         solution = np.linalg.lstsq(products[np.ix_(columns, columns)], vector, rcond=None)[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which bags are meant: files, rosbag2 folders, and folders with any number of them."""
+"""Search for bags: files, rosbag2 folders, and folders with any number of them."""
 
 import hashlib
 import re
@@ -14,7 +14,7 @@ RESULT_BAG = "estimates"
 """A folder of this name beside `RESULT_FILE` is a result of an earlier replay, not a flight."""
 
 SPLIT_NUMBER = re.compile(r"_\d+$")
-"""How rosbag2 numbers the files of one recording: flight/flight_0.mcap, flight/flight_1.mcap."""
+"""Number of a file of one rosbag2 recording: flight/flight_0.mcap, flight/flight_1.mcap."""
 
 
 def is_collection(path: Path) -> bool:
@@ -33,17 +33,17 @@ def is_collection(path: Path) -> bool:
 
 
 def find_bags(path: Path) -> list[Path]:
-    """Return the bags that a path stands for: in a folder at any depth, in the order of names."""
+    """Return the bags of a path: in a folder at any depth, in the order of names."""
     return sorted([*storage_files(path), *_below(path)]) if is_collection(path) else [path]
 
 
 def storage_files(folder: Path) -> list[Path]:
-    """Return the files of a folder that hold messages."""
+    """Return the storage files of a folder."""
     return sorted(p for p in folder.iterdir() if p.is_file() and p.suffix in STORAGE_SUFFIXES)
 
 
 def _below(folder: Path) -> list[Path]:
-    """Return the bags in the folders of a folder, but for hidden ones and results."""
+    """Return the bags in the subfolders of a folder, without hidden folders and results."""
     folders = [
         entry
         for entry in folder.iterdir()
@@ -55,7 +55,7 @@ def _below(folder: Path) -> list[Path]:
 
 
 def names_of(bags: Sequence[Path]) -> list[str]:
-    """Return a name for each bag that no other has: its own, with its folder's where needed."""
+    """Return a unique name for each bag: its own, with that of its folder if needed."""
     paths = [bag.resolve() for bag in bags]
     taken = Counter(path.stem for path in paths)
     seen: Counter[str] = Counter()
@@ -68,7 +68,7 @@ def names_of(bags: Sequence[Path]) -> list[str]:
 
 
 def bag_files(bag: Path) -> list[tuple[str, int, str]]:
-    """Return name, size and SHA-256 of every file with messages of a bag; raises `BagError`."""
+    """Return name, size and SHA-256 of every storage file of a bag; raises `BagError`."""
     return [name_size_hash(file) for file in (storage_files(bag) if bag.is_dir() else [bag])]
 
 

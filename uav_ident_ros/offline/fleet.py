@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of many replayed flights, and what those of an aircraft say together.
+"""The table of many replayed flights, with pooled coefficients and changes of each aircraft.
 
-Each flight's estimate is its true value plus an error of the flight's own sigma; the true values
+A flight's estimate is its true value plus an error with the sigma of that flight. The true values
 scatter from flight to flight with loading, air and speed (random-effects model of DerSimonian and
-Laird 1986). A coefficient that walks away from that is found by the generalised likelihood ratio:
-the mean of the last flights, for every number of them, beside that of all before (Siegmund and
-Venkatraman 1995).
+Laird 1986). A change is found by the generalised likelihood ratio: it compares the mean of the last
+flights, for every number of them, with that of the flights before (Siegmund and Venkatraman 1995).
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ PARQUET_FILE = "flights.parquet"
 class FlightRow:
     """One coefficient of one flight, with the columns of docs/fleets.md.
 
-    Of a flight without a result there is one row without a coefficient.
+    A flight without a result has one row, without a coefficient.
     """
 
     aircraft: str
@@ -50,7 +49,7 @@ class FlightRow:
     structure: str = ""
     coefficient: str = ""
     value: float | None = None
-    sigma: float | None = None  # Zero of a fixed one
+    sigma: float | None = None  # Zero if fixed
     fit_p: float | None = None
     fit_q: float | None = None
     fit_r: float | None = None
@@ -64,7 +63,7 @@ class FlightRow:
 
 
 def arrow() -> tuple[Any, Any]:
-    """Return the package pyarrow and the columns as it writes them; raises `BagError`."""
+    """Return the package pyarrow and the schema of the table; raises `BagError`."""
     pyarrow, _, _ = map(optional, ("pyarrow", "pyarrow.csv", "pyarrow.parquet"))
     kinds = {"str": pyarrow.string(), "int": pyarrow.int64()}
     named = [(f.name, kinds.get(str(f.type), pyarrow.float64())) for f in fields(FlightRow)]
@@ -128,38 +127,38 @@ def read_flights(path: Path) -> list[FlightRow]:
         raise BagError(f"'{path}' is no table of flights: {error}") from None
 
 
-# --- what the flights say together ----------------------------------------------------------------
+# --- pooled flights -------------------------------------------------------------------------------
 
 
 LIMIT = 4.8723
 """Deviation from which a coefficient has changed, in its standard deviations: one false alarm in
-100,000 looks, or in ten fleets of 60 flights in which 150 coefficients in all are looked at. The
-looks between false alarms are ``sqrt(2 pi) exp(b^2 / 2) / (b I)`` for a limit ``b`` with ``I``, the
+100,000 tests, or in ten fleets of 60 flights with 150 coefficients in all. The mean number of tests
+between false alarms is ``sqrt(2 pi) exp(b^2 / 2) / (b I)`` for a limit ``b`` with ``I``, the
 integral of ``x nu(x)^2``, 0.735 (Siegmund and Venkatraman 1995)."""
 
 BASELINE = 12
-"""Flights from which the scatter is known well enough to judge another by it: its own standard
-deviation is then a fifth of it."""
+"""Least number of flights to estimate the scatter from: its relative standard deviation is then a
+fifth."""
 
 RECENT = 40
-"""Flights that a change is looked for among: after so many a slow one has long been found."""
+"""Number of last flights in which a change is searched: a slow one is found earlier."""
 
 CLEAR = 3.0
-"""t-ratio that a coefficient has in half of the flights before it is judged at all."""
+"""Median t-ratio over the flights from which a coefficient is tested for changes."""
 
 
 class Pooled(NamedTuple):
-    """A coefficient of an aircraft."""
+    """A pooled coefficient of an aircraft."""
 
     # value, sigma: Mean over the flights and its standard deviation
     value: float
     sigma: float
     scatter: float  # Standard deviation of the true values from flight to flight
-    flights: int  # Flights that it is from
+    flights: int  # Number of pooled flights
 
     @property
     def next_sigma(self) -> float:
-        """Standard deviation of what the next flight will show."""
+        """Standard deviation of the true value in the next flight."""
         return math.hypot(self.sigma, self.scatter)
 
 
@@ -176,25 +175,25 @@ def pool(values: FloatArray, sigmas: FloatArray) -> Pooled:
 
 
 def is_clear(values: FloatArray, sigmas: FloatArray) -> bool:
-    """Whether half of the flights know a coefficient well; NaN where one does not know it."""
+    """Whether the median t-ratio reaches `CLEAR`; NaN for flights without the coefficient."""
     return bool(np.nanmedian(np.abs(values) / sigmas) >= CLEAR)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """A coefficient that is not what it was."""
+    """A change of a coefficient."""
 
-    coefficient: str  # Its name
-    since: str  # Flight from which it went away
-    named: str  # Flight at which that was certain
-    # before, now: Its pooled value before, and that from `since` on
+    coefficient: str  # Name of the coefficient
+    since: str  # First flight with the change
+    named: str  # Flight at which the change became significant
+    # before, now: Pooled values before the change, and since then
     before: float
     now: float
-    lasting: bool  # Whether it went on for several flights; one flight alone stands out otherwise
+    lasting: bool  # Whether it lasted for several flights; otherwise one flight is an outlier
 
     @property
     def text(self) -> str:
-        """The finding in words."""
+        """Text of the finding."""
         change = f"{self.before:+.4g} to {self.now:+.4g}"
         if self.before:
             change += f" ({100.0 * (self.now / self.before - 1.0):+.0f} %)"
@@ -207,7 +206,7 @@ class Finding:
 
 
 def standard(deviation: float, freedom: int) -> float:
-    """Return the normal deviate as rare as one of Student's t (Wallace 1959)."""
+    """Return the normal deviate of the same probability as one of Student's t (Wallace 1959)."""
     size = math.sqrt(freedom * math.log1p(deviation**2 / freedom))
     return math.copysign(size * (8 * freedom + 1) / (8 * freedom + 3), deviation)
 
@@ -215,7 +214,7 @@ def standard(deviation: float, freedom: int) -> float:
 def changes(
     coefficient: str, flights: Sequence[str], values: FloatArray, sigmas: FloatArray
 ) -> list[Finding]:
-    """Find where a coefficient left what it was; (k,) each, in the order of the flights."""
+    """Return the changes of a coefficient; (k,) each, in the order of the flights."""
     kept: list[int] = []
     found: list[Finding] = []
     for k in range(len(values)):
@@ -228,18 +227,18 @@ def changes(
         recent, before = kept[begin:], kept[:begin]
         alone = found[-1] if found and not found[-1].lasting else None
         if len(recent) == 1 and alone is not None and alone.since == flights[k - 1]:
-            found.pop()  # the second in a row: it was the beginning of a change
+            found.pop()  # two in a row: the outlier was the beginning of a change
             recent = [k - 1, k]
         then, now = (pool(values[which], sigmas[which]).value for which in (before, recent))
         lasting, since = len(recent) > 1, flights[recent[0]]
         found.append(Finding(coefficient, since, flights[k], then, now, lasting))
-        # one flight alone says nothing of the next; after a change that is what is usual
+        # an outlier is left out; a lasting change begins a new baseline
         kept = recent if lasting else kept[:-1]
     return found
 
 
 def _deviation(values: FloatArray, sigmas: FloatArray, before: list[int], now: list[int]) -> float:
-    """Return how far some flights are off what was usual in those before them."""
+    """Return the deviation of some flights from the baseline before, in standard deviations."""
     usual = pool(values[before], sigmas[before])
     weight = 1.0 / (sigmas[now] ** 2 + usual.scatter**2)
     mean = float((weight * values[now]).sum() / weight.sum())
@@ -255,17 +254,17 @@ class Aircraft:
     name: str
     structure: str
     flights: tuple[str, ...]  # Flights with a usable model, in the order of their time
-    # values, sigmas: For each coefficient its values and standard deviations in these flights,
-    # (k,); NaN where a flight does not know it
+    # values, sigmas: Values and standard deviations of each coefficient in these flights, (k,);
+    # NaN for flights without it
     values: Mapping[str, FloatArray]
     sigmas: Mapping[str, FloatArray]
     pooled: Mapping[str, Pooled]  # Coefficients pooled since they last changed
-    findings: tuple[Finding, ...]  # What changed or stands out
-    unusable: tuple[tuple[str, str], ...]  # Flights without a usable model, and why
+    findings: tuple[Finding, ...]  # Changes and outliers
+    unusable: tuple[tuple[str, str], ...]  # Flights without a usable model, and the reasons
 
     @property
     def main(self) -> list[str]:
-        """Derivatives worth a chart: those that most flights know well; controls first."""
+        """Names of the coefficients with a chart: well known ones, control derivatives first."""
         clear = [name for name in self.pooled if is_clear(self.values[name], self.sigmas[name])]
         return sorted(clear, key=lambda name: name.rpartition("/")[2] not in INPUTS)
 
@@ -282,7 +281,7 @@ class Aircraft:
     def coefficient_set(self) -> CoefficientSet:
         """Return the pooled coefficients with the sigmas of the next flight.
 
-        The sigma of what no flight knows is infinite: nothing is known of it.
+        The sigma of a coefficient that no flight has is infinite.
         """
         structure = STRUCTURES[self.structure]
         values = np.zeros(structure.mask.shape)
@@ -296,7 +295,7 @@ class Aircraft:
 def fleet_of(rows: Iterable[FlightRow]) -> list[Aircraft]:
     """Return every aircraft of a table of flights, by name and structure.
 
-    An aircraft whose models have several structures is there once for each.
+    An aircraft whose models have several structures occurs once for each.
     """
     ordered = sorted(rows, key=attrgetter("aircraft", "start_ns", "flight"))
     fleet = []
@@ -322,7 +321,7 @@ def _judged(
     flights: Sequence[Sequence[FlightRow]],  # The usable ones, in the order of their time
     unusable: tuple[tuple[str, str], ...],
 ) -> Aircraft:
-    """Pool the flights of an aircraft, and find what has changed in them."""
+    """Pool the flights of an aircraft, and find the changes."""
     names = tuple(rows[0].flight for rows in flights)
     values: dict[str, FloatArray] = {}
     sigmas: dict[str, FloatArray] = {}

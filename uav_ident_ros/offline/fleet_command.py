@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`fleet`: what many replayed flights say of each aircraft."""
+"""`fleet`: pooled coefficients and changes of each aircraft, over many replayed flights."""
 
 import argparse
 import re
@@ -83,7 +83,7 @@ def write_fleet(folder: Path, fleet: Sequence[Aircraft]) -> list[Path]:
 
 
 def describe(aircraft: Aircraft) -> Iterator[str]:
-    """Yield an aircraft in words and columns."""
+    """Yield the lines on an aircraft: counts, table, changes, unusable flights."""
     count = len(aircraft.flights)
     yield f"{aircraft.name}: {count} usable flights, {len(aircraft.unusable)} others"
     if aircraft.pooled:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node's inputs in a bag: topics that are asked for, or found by name and type."""
+"""The node's inputs in a bag: topics that are requested, or found by name and type."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,25 +13,25 @@ from uav_ident_ros.messages.types import EXCITATION_TYPE
 
 @dataclass(frozen=True)
 class Inputs:
-    """Which topics of a bag to read, and the settings that fit their types."""
+    """Topics of a bag to read, and the settings with their types."""
 
-    streams: Mapping[str, str]  # topic of every stream that is read, by the stream's name
-    settings: Settings  # their message types are those of the topics
+    streams: Mapping[str, str]  # Topic of every stream that is read, by the stream's name
+    settings: Settings  # Settings, with the message types of the topics
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Every topic that is read."""
+        """The topics that are read."""
         return tuple(self.streams.values())
 
 
 def choose_inputs(
     bag: Bag,
-    # Parameters by dotted name; a message type that is not among them is the topic's
+    # Parameters by dotted name; a message type that is not set is taken from the topic
     parameters: Mapping[str, object],
-    # Topics to take, by stream as in `STREAMS`. Rates and actuators left out: ``/imu/data`` and
-    # ``/actuators`` if the bag has them, else the only topic of a known type. Airspeed and armed:
-    # none, or, if the type is set, ``/airspeed`` and ``/armed`` or else the only topic of that
-    # type. Excitation: ``/excitation``, or else the only one whose name ends so
+    # Requested topics, by stream as in `STREAMS`. Defaults: for rates and actuators ``/imu/data``
+    # and ``/actuators``, else the only topic of a known type. For airspeed and armed none, or, if
+    # the type is set, ``/airspeed`` and ``/armed``, else the only topic of that type. For
+    # excitation ``/excitation``, else the only topic whose name ends so
     requested: Mapping[str, str] | None = None,
 ) -> Inputs:
     """Find the input topics of a bag.
@@ -44,7 +44,7 @@ def choose_inputs(
         If a parameter is wrong.
     """
     values = dict(parameters)
-    Settings.from_values(values)  # what is wrong with the parameters comes before the bag
+    Settings.from_values(values)  # errors of the parameters come before those of the bag
     topics = {}
     for stream in STREAMS:
         topic = (requested or {}).get(stream.name)
@@ -60,7 +60,7 @@ def choose_inputs(
 
 
 def _find_injected(bag: Bag) -> str:
-    """Return the topic of what was injected; empty if the bag has none, or several."""
+    """Return the topic of the injected signals; empty if the bag has none, or several."""
     of_type = (topic for topic, kind in bag.types.items() if kind == EXCITATION_TYPE)
     ends = [topic for topic in of_type if topic.endswith(EXCITATION_END)]
     if EXCITATION_END in ends:
@@ -69,7 +69,7 @@ def _find_injected(bag: Bag) -> str:
 
 
 def _choose(bag: Bag, stream: Stream, requested: str | None, wanted: str) -> str:
-    """Return the topic asked for, or else the one to be found, if its type will do."""
+    """Return the requested topic, or else the one found; raise if its type is not usable."""
     types = (wanted,) if wanted else stream.types
     topic = requested or _find_topic(bag, stream, types)
     msgtype = bag.type_of(topic)

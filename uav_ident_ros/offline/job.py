@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One bag replayed with one configuration: what is asked for, and what came of it."""
+"""One bag replayed with one configuration: the job and its outcome."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from uav_ident_ros.offline.tables import AXES, write_table
 from uav_ident_ros.offline.ticks import write_estimates
 
 LINE_EVERY = 30.0
-"""Time between two lines where there is no terminal, s."""
+"""Interval of lines without a terminal, s."""
 
 
 class Bar(tqdm):
-    """A bar on the error stream; where there is no terminal, a line now and then."""
+    """A progress bar on the error stream; without a terminal, a line every `LINE_EVERY`."""
 
-    monitor_interval = 0  # its thread would take Ctrl-C where this one holds it back
+    monitor_interval = 0  # its thread would receive Ctrl-C while this one blocks it
 
     def __init__(self, *what: Any, **options: Any) -> None:
         pace = {} if sys.stderr.isatty() else {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
@@ -67,10 +67,10 @@ REFUSALS = (
     ParameterFileError,
     SettingsError,
 )
-"""What bad input raises."""
+"""Exceptions of bad input."""
 
 VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
-"""Words for the status of a replay."""
+"""Text for each status of a replay."""
 
 
 @dataclass(frozen=True)
@@ -78,17 +78,17 @@ class Job:
     """One bag to be replayed with one configuration."""
 
     bag: Path
-    name: str  # What its results are called
-    folder: Path  # Where they go
-    params_files: tuple[Path, ...] = ()  # Parameter files; what a later one sets wins
+    name: str  # Name of the results
+    folder: Path  # Folder of the results
+    params_files: tuple[Path, ...] = ()  # Parameter files; later ones override earlier ones
     node: str = NODE_NAME  # Node whose sections of the files count
-    # Topics to read, by stream as in `STREAMS`; the others are found
+    # Requested topics, by stream as in `STREAMS`; the others are found
     topics: Mapping[str, str] = field(default_factory=dict)
-    # plot, report: Whether to draw the picture, and to write the report, too
+    # plot, report: Whether to draw the picture, and to write the report
     plot: bool = False
     report: bool = False
-    aircraft: str = ""  # The aircraft that flew
-    again: bool = False  # Whether to do it even if its result is there already
+    aircraft: str = ""  # Name of the aircraft
+    again: bool = False  # Whether to replay even if the result exists already
 
     def parameters(self) -> dict[str, Any]:
         """Return the parameters by name; raises `ParameterFileError`."""
@@ -100,26 +100,26 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a job."""
+    """Outcome of a job."""
 
     job: Job
     status: int  # `USABLE`, `NOT_USABLE` or `NO_RESULT`
-    warnings: tuple[str, ...] = ()  # What is wrong with the input; if there is no result, why
+    warnings: tuple[str, ...] = ()  # Problems of the input; the last is why there is no result
     # Content of summary.json; empty if there is none
     summary: Mapping[str, Any] = field(default_factory=dict)
-    identity: str = ""  # What the result is of (`parallel.identity_of`); empty if that is unknown
-    kept: bool = False  # Whether nothing was done, since the result is there already
+    identity: str = ""  # Hashes of bag and settings (`parallel.identity_of`); empty if unknown
+    kept: bool = False  # Whether an earlier result was kept
 
     @property
     def reason(self) -> str:
-        """Why it is not usable, or there is no result; empty if it is usable."""
+        """Reason of a model that is not usable, or of no result; empty if usable."""
         if self.status == NO_RESULT:
             return self.warnings[-1].splitlines()[0] if self.warnings else ""
         return str(self.summary["doubt"]) if self.status == NOT_USABLE else ""
 
     @property
     def verdict(self) -> str:
-        """The status in words, with the reason if it is not a good one."""
+        """Text of the status, with the reason if there is one."""
         return f"{VERDICTS[self.status]}: {self.reason}" if self.reason else VERDICTS[self.status]
 
     def fit(self, kind: str = "model") -> Mapping[str, float | None]:
@@ -132,11 +132,11 @@ class Outcome:
 
 def replay(
     job: Job,
-    shown: bool = False,  # Whether a bar shows how much of the bag has been read
+    shown: bool = False,  # Whether to show a progress bar
 ) -> Outcome:
-    """Do a job: run the identifier over the bag and write the results.
+    """Do a job: run the identifier on the bag and write the results.
 
-    Bad input is an outcome, too: nothing of `REFUSALS` is raised.
+    `REFUSALS` are not raised: bad input gives an outcome without a result.
     """
     warnings: list[str] = []
     try:
@@ -157,7 +157,7 @@ def replay(
 
 
 def write_results(folder: Path, replayed: Replayed) -> None:
-    """Write summary, table, bag of estimates and coefficients; raises as these do."""
+    """Write summary, table, bag of estimates and coefficients; raises some of `REFUSALS`."""
     run, summary = replayed.run, json.dumps(replayed.summary, indent=2, allow_nan=False)
     write_file(folder / "summary.json", f"{summary}\n")
     write_file(folder / "table.txt", f"{write_table(replayed.summary)}\n")
@@ -167,7 +167,7 @@ def write_results(folder: Path, replayed: Replayed) -> None:
 
 
 def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
-    """Run the identifier over the bag; return it, and what the bag is like."""
+    """Run the identifier on the bag; return the run, and notes on the bag."""
 
     def wrap(messages: Iterable[Message], total: int) -> Iterable[Message]:
         return Bar(messages, total=total, unit=" messages", disable=not shown)
@@ -184,7 +184,7 @@ def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[
             if not run.estimates:
                 raise BagError(f"bag '{job.bag}': no tick came due: {_why_nothing(run)}")
         except REFUSALS:
-            warnings += bag.damage  # which may be why
+            warnings += bag.damage  # a possible cause
             raise
         return run, tuple(notes_on(bag, run))
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many replays: in processes of this machine or on a Dask cluster, and none twice.
 
-Two replays are the same if the bag's bytes, the settings and the package's version are. What says
-so is written last: a replay that was cut off is done again, one that was finished is not.
+Two replays are identical if the bag's bytes, the settings and the package's version are. The file
+with their hashes is written last, so that an interrupted replay is repeated.
 """
 
 import hashlib
@@ -28,20 +28,20 @@ from uav_ident_ros.offline.job import REFUSALS, Bar, Job, Outcome, optional, rep
 DONE_FILE = "replayed.json"
 
 ATTEMPTS = 3
-"""How often a flight is begun whose worker of the cluster has gone: a bag that ends every worker
-must not end all of them."""
+"""Attempts at a flight whose worker of the cluster has ended: a bag that ends every worker must not
+end all of them."""
 
 Outcomes = Iterator[tuple[Job, Outcome | None]]
-"""Jobs and what came of them, as they come; None for a job whose process has gone."""
+"""Jobs with their outcomes, in the order of completion; None if the process of a job has ended."""
 
 
 def replay_all(
     jobs: Sequence[Job],  # The jobs; their folders must differ
-    workers: int,  # Processes at a time on this machine
-    # Address of a Dask scheduler whose workers do the jobs instead; they need the same paths
+    workers: int,  # Number of processes on this machine
+    # Address of a Dask scheduler whose workers run the jobs instead; they need the same paths
     scheduler: str = "",
 ) -> list[Outcome]:
-    """Do jobs in parallel, outcomes in their order; raises `BagError` if no scheduler answers."""
+    """Run jobs in parallel, outcomes in their order; raises `BagError` without the scheduler."""
     outcomes: dict[Path, Outcome] = {}
     with Bar(total=len(jobs), unit=" replays") as shown:
         for job, outcome in _there(jobs, scheduler) if scheduler else _here(jobs, workers):
@@ -52,7 +52,7 @@ def replay_all(
 
 
 def _there(jobs: Sequence[Job], scheduler: str) -> Outcomes:
-    """Yield the outcomes of a cluster."""
+    """Run jobs on a cluster and yield their outcomes."""
     try:
         client = optional("distributed").Client(scheduler)
     except (OSError, ValueError) as error:
@@ -62,10 +62,10 @@ def _there(jobs: Sequence[Job], scheduler: str) -> Outcomes:
 
 
 def _here(jobs: Sequence[Job], workers: int) -> Outcomes:
-    """Yield the outcomes of processes of this machine.
+    """Run jobs in processes of this machine and yield their outcomes.
 
-    The end of one process breaks the pool. What it leaves is done one by one, each in a pool of its
-    own: then it is known which flight ends its process, and it ends no other.
+    The end of one process breaks the pool. The remaining jobs run one by one, each in a pool of its
+    own. A flight that ends its process then affects no other.
     """
     left: list[Job] = []
     with _pool(min(workers, len(jobs))) as executor:
@@ -80,7 +80,7 @@ def _here(jobs: Sequence[Job], workers: int) -> Outcomes:
 
 
 def _do(executor: Executor, jobs: Sequence[Job]) -> Outcomes:
-    # The processes must not hear of Ctrl-C: this one ends them.
+    # Ctrl-C must not reach the processes: this one ends them.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         futures = {executor.submit(work, job): job for job in jobs}
@@ -94,8 +94,8 @@ def _do(executor: Executor, jobs: Sequence[Job]) -> Outcomes:
 
 @contextmanager
 def _pool(workers: int) -> Iterator[Executor]:
-    """Open a pool of processes; on the way out by an exception they are ended at once."""
-    # Started by the pool it would let Ctrl-C through.
+    """Open a pool of processes; an exception ends them at once."""
+    # Started by the pool, the tracker would receive Ctrl-C.
     resource_tracker.ensure_running()
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
     try:
@@ -109,16 +109,16 @@ def _pool(workers: int) -> Iterator[Executor]:
 
 
 def work(job: Job) -> Outcome:
-    """Do a job, unless it was done before with the same bag and settings; never raises."""
+    """Run a job, unless it was run before with the same bag and settings; never raises."""
     done = job.folder / DONE_FILE
     try:
         try:
             identity = identity_of(job)
         except REFUSALS:
-            return replay(job)  # which says what is wrong
+            return replay(job)  # its outcome has the problem
         outcome = None if job.again else _recalled(job, identity)
         if outcome is None:
-            write_file(done, "")  # the results are about to be written anew
+            write_file(done, "")  # invalid until the new results are written
             outcome = replace(replay(job), identity=identity)
             keys = ("identity", "status", "warnings")
             write_file(done, json.dumps({key: getattr(outcome, key) for key in keys}) + "\n")
@@ -126,14 +126,14 @@ def work(job: Job) -> Outcome:
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (str(error),))
     except Exception:
-        # A fault of this program: the rest of the bags can do without this one.
+        # A fault of this program must not prevent the replay of the other bags.
         traceback.print_exc()
         last = traceback.format_exc().strip().splitlines()[-1]
         return Outcome(job, NO_RESULT, (f"bag '{job.bag}': {last}",))
 
 
 def _recalled(job: Job, identity: str) -> Outcome | None:
-    """Return the outcome that a job had before; None if there is none of this identity."""
+    """Return the earlier outcome of a job; None if there is none of this identity."""
     try:
         entry = json.loads((job.folder / DONE_FILE).read_text(encoding="utf-8"))
         if entry["identity"] != identity:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pipeline over a bag: what the node would have published in flight, and how good it was.
+"""The pipeline on a bag: the estimates that the node would have published, and their score.
 
-There is no estimation logic here: messages go in by log time, as the node takes them in flight, and
-due ticks are asked for.
+It has no estimation logic: it passes messages in by log time, as the node does in flight, and
+requests due ticks.
 """
 
 from __future__ import annotations
@@ -42,24 +42,24 @@ from uav_ident_ros.offline.inputs import Inputs, choose_inputs
 from uav_ident_ros.offline.ticks import Ticks
 
 BLOCK = 8192
-"""Samples of an Imu that are conditioned at a time: a minute or less, which takes some MB."""
+"""Imu samples conditioned at a time: a minute or less, which takes some MB."""
 
 PIECE = 4096
-"""Ticks that are predicted at a time: as many as the models that run side by side."""
+"""Ticks predicted at a time, hence models that run in parallel."""
 
 
 @dataclass(frozen=True)
 class Stretch(Flown):
-    """What was measured and published on one time base, with one delay of the inputs."""
+    """Measurements and estimates of one time base, with one delay of the inputs."""
 
     _: KW_ONLY
-    era: int  # Restarts of the time base before it
-    ticks: Ticks  # The estimates made with that delay
+    era: int  # Number of restarts of the time base before it
+    ticks: Ticks  # The estimates with that delay
 
     def pieces(self, horizon: float) -> Iterator[tuple[Flown, Published]]:
-        """Yield some ticks at a time, with what is needed to predict from them `horizon` s ahead.
+        """Yield groups of ticks with the measurements for predictions `horizon` s ahead.
 
-        On a grid of its own each piece takes some MB; that of an hour would take hundreds.
+        The grid of a group takes some MB; that of an hour would take hundreds.
         """
         ahead_ns = round(horizon * 1e9)
         for first in range(0, len(self.ticks), PIECE):
@@ -73,36 +73,36 @@ class Stretch(Flown):
 
 
 def time_bases(stretches: Iterable[Stretch]) -> list[Stretch]:
-    """Return a stretch of every time base: that with the delay of most of its ticks."""
+    """Return the longest stretch, in ticks, of every time base."""
     most = {part.era: part for part in sorted(stretches, key=lambda part: len(part.ticks))}
     return [most[era] for era in sorted(most)]
 
 
 Wrap = Callable[[Iterable[Message], int], Iterable[Message]]
-"""Wraps the messages and their number, for a progress bar."""
+"""Wrapper of the messages, given their number, for a progress bar."""
 
 
 UNREADABLE = "unreadable"
-"""Why a message is refused whose bytes are none of its type."""
+"""Reason to drop a message that cannot be decoded."""
 
 _NO_FORCE = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Refusals:
-    """Messages of one stream and what became of them."""
+    """Counts of received and dropped messages of one stream."""
 
     received: int  # Messages read
-    dropped: dict[str, int]  # How many of them were not used, for each reason
+    dropped: dict[str, int]  # Messages dropped, for each reason
 
     @property
     def words(self) -> str:
-        """What was dropped, and why."""
+        """Counts of dropped messages with their reasons."""
         return ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
 
 
 class Record:
-    """Samples of one stream as the identifier took them, by their time base."""
+    """Samples of one stream that the identifier accepted, by their time base."""
 
     def __init__(
         self,
@@ -113,14 +113,14 @@ class Record:
         self._values: dict[int, array[float]] = defaultdict(lambda: array("d"))
 
     def append(self, t_ns: int, values: Iterable[float], era: int) -> None:
-        """Keep a sample; `era` counts the restarts of the time base before it."""
+        """Add a sample; `era` is the number of restarts of the time base before it."""
         self._t[era].append(t_ns)
         self._values[era].extend(values)
 
     def of_era(self, era: int) -> tuple[TimeArray, FloatArray]:
         """Return stamps (k,), strictly rising, and values (k, width) of one time base.
 
-        They may be those of the record itself: while they are in use, nothing can be added.
+        They may be views of the record: while they exist, no sample can be added.
         """
         t_ns = np.frombuffer(self._t[era], np.int64)
         values = np.frombuffer(self._values[era]).reshape(-1, self._width)
@@ -136,25 +136,25 @@ class OfflineRun:
     def __init__(
         self,
         inputs: Inputs,  # Topics and settings
-        initial: CoefficientSet | None = None,  # Coefficients to start from
-        **parts: Any,  # Parts of one's own: `estimator`, `gates` of `OnlineIdentifier`
+        initial: CoefficientSet | None = None,  # Initial coefficients
+        **parts: Any,  # User-defined parts: `estimator`, `gates` of `OnlineIdentifier`
     ) -> None:
         self.inputs = inputs
         self.identifier = OnlineIdentifier(inputs.settings, initial, **parts)
         self.structure: Structure = self.identifier.structure  # Structure of the estimates
         self.estimates = Ticks(self.structure)  # One per tick, in order
-        self.era = 0  # Restarts of the time base so far
-        self.frame_ids: set[str] = set()  # Every frame the rates have come in
-        # What was taken: in the sensor's axes, and as raw channels
+        self.era = 0  # Number of restarts of the time base so far
+        self.frame_ids: set[str] = set()  # All frames of the rates
+        # Accepted samples: rates and forces in the sensor's axes, actuators as raw channels
         self._rates, self._actuators = Record(6), Record(len(inputs.settings.actuators.channels))
         self._feeds: dict[str, Feed] = {}
         self._newest_ns: int | None = None
-        self._learned = -1  # Place of the last one that learned; the last of all if none did
+        self._learned = -1  # Index of the last tick that learned; the last tick if none did
         # time base, delay and lag of each estimate
         self._contexts: list[tuple[int, float, float]] = []
 
     def run(self, bag: Bag, wrap: Wrap = lambda messages, _: messages) -> None:
-        """Feed every message of the topics, in log-time order.
+        """Run the identifier on all messages of the topics, in the order of log time.
 
         Raises
         ------
@@ -213,12 +213,12 @@ class OfflineRun:
 
     @property
     def fault(self) -> str:
-        """How the messages contradict the settings; empty if they do not."""
+        """Contradiction of the messages to the settings; empty if there is none."""
         rates = self._feeds[RATES]
         return (str(rates.reader.fault) if rates.received else "") or self.identifier.intake.fault
 
     def refusals(self, stream: str) -> Refusals:
-        """Count what became of the messages of a stream that is read."""
+        """Return the counts of received and dropped messages of a stream that is read."""
         feed = self._feeds[stream]
         return Refusals(feed.received, dict(sorted(feed.drops().items())))
 
@@ -226,9 +226,9 @@ class OfflineRun:
     def judged(self) -> Estimate:
         """The estimate whose verdict is that of the flight.
 
-        That of the last tick; of the last that learned where the aircraft has landed since, or the
-        inputs ended, and the verdict ages, as a controller must see it: what the flight has shown
-        stays. A fault at the end counts.
+        It is that of the last tick. If nothing was learned lately (the aircraft has landed, or the
+        inputs have ended), the verdict has expired; then it is that of the last tick that learned.
+        A fault at the end counts.
         """
         last, identifier = self.estimates[-1], self.identifier
         doubted = last.state == State.FAULT.value or identifier.plausibility.doubted
@@ -237,7 +237,7 @@ class OfflineRun:
         return self.estimates[self._learned]
 
     def result(self) -> CoefficientSet:
-        """Return the coefficients at the last tick; with an airspeed, at its reference."""
+        """Return the coefficients at the last tick, at the reference airspeed if there is one."""
         return self.identifier.coefficient_set(self.estimates[-1].t_ns)
 
     def score(self) -> dict[str, PredictionFit]:
@@ -250,11 +250,11 @@ class OfflineRun:
         return score_windows(WindowErrors.join(errors), min(ends), max(ends))
 
     def eras(self) -> TimeArray:
-        """Return the restarts of the time base before each estimate, shape (K,)."""
+        """Return the number of restarts of the time base before each estimate, shape (K,)."""
         return np.array([era for era, *_ in self._contexts], dtype=np.int64)
 
     def stretches(self) -> Iterator[Stretch]:
-        """Yield what was measured and published on every time base, and with every delay."""
+        """Yield measurements and estimates of every time base and every delay."""
         imu, contexts = self.inputs.settings.imu, sorted(set(self._contexts))
         arm, frame = np.array(imu.lever_arm), BodyFrame(imu)
         measured = {}
@@ -266,7 +266,7 @@ class OfflineRun:
             era, delay, lag = context
             t_ns, rates, force = measured[era]
             raw_t_ns, raw = self._actuators.of_era(era)
-            # The identifier's own map: it may have learned the trim in flight.
+            # The identifier's own map has the trim that it may have learned in flight.
             u = self.identifier.sampler.input_map.apply(raw)
             which = np.flatnonzero([other == context for other in self._contexts])
             yield Stretch(
@@ -294,7 +294,7 @@ class OfflineRun:
 
 
 def _decoder(bag: Bag, topic: str) -> Callable[[bytes], object]:
-    """Return what reads the messages of a topic by the definitions in the bag."""
+    """Return the decoder of a topic, by the definitions in the bag."""
     decode = bag.decoder(topic)
 
     def decoded(data: bytes) -> object:
@@ -309,10 +309,10 @@ def _decoder(bag: Bag, topic: str) -> Callable[[bytes], object]:
 def run_over(
     path: Path,  # The bag
     values: Mapping[str, Any],  # Parameters by name
-    initial: CoefficientSet | None = None,  # Coefficients to start from
-    **parts: Any,  # Parts of one's own, as in `OfflineRun`
+    initial: CoefficientSet | None = None,  # Initial coefficients
+    **parts: Any,  # User-defined parts, as in `OfflineRun`
 ) -> OfflineRun:
-    """Return the finished run of the identifier over a bag."""
+    """Return the finished run of the identifier on a bag."""
     with Bag(path) as bag:
         run = OfflineRun(choose_inputs(bag, values), initial, **parts)
         run.run(bag)

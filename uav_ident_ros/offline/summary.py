@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight that was replayed, facts that explain its result, and summary.json.
+"""A replayed flight, notes on its bag, and summary.json.
 
 The same bag gives the same bytes.
 """
@@ -28,11 +28,11 @@ from uav_ident_ros.offline.tables import AXES
 from uav_ident_ros.report.flight import Flight
 
 MISSING_TIME = 1.0
-"""Time without actuators at the beginning or the end that is worth a word, s."""
+"""Time without actuators at the beginning or the end that is reported, s."""
 
 
 def notes_on(bag: Bag, run: OfflineRun) -> Iterator[str]:
-    """Yield what there is to know about a bag that was replayed."""
+    """Yield notes on a replayed bag: damage, unread topics, mixed frames, missing actuators."""
     yield from bag.damage
     yield from _other_sensors(bag, run)
     yield from _mixed_frames(run)
@@ -40,11 +40,11 @@ def notes_on(bag: Bag, run: OfflineRun) -> Iterator[str]:
 
 
 def _other_sensors(bag: Bag, run: OfflineRun) -> Iterator[str]:
-    """Yield topics that might have been meant instead, or too."""
+    """Yield notes on unread topics that fit an input."""
     taken = run.inputs.streams
     for stream in STREAMS:
         if not stream.setting:
-            continue  # any JointState could be it: only the name tells
+            continue  # many topics are JointState: the type is no evidence
         others = [topic for topic in candidates(bag, stream.types) if topic not in taken.values()]
         if stream.name in taken and others:
             yield (
@@ -53,12 +53,12 @@ def _other_sensors(bag: Bag, run: OfflineRun) -> Iterator[str]:
             )
         elif stream.name not in taken:
             for topic in others:
-                if stream.topic in topic:  # the types alone, numbers among them, say little
+                if stream.topic in topic:  # types as common as these are no evidence
                     yield f"{topic} was not read: --topic {stream.topic}:={topic} reads it"
 
 
 def _mixed_frames(run: OfflineRun) -> Iterator[str]:
-    """Yield that two sensors share a topic."""
+    """Yield a note if two sensors share a topic."""
     if len(run.frame_ids) > 1:
         frames = ", ".join(f"'{frame}'" for frame in sorted(run.frame_ids))
         yield (
@@ -68,7 +68,7 @@ def _mixed_frames(run: OfflineRun) -> Iterator[str]:
 
 
 def _missing_actuators(run: OfflineRun) -> Iterator[str]:
-    """Yield that actuators start late or stop early."""
+    """Yield notes on actuators that start late or stop early."""
     parts = time_bases(run.stretches())
     if not any(len(part.inputs.t_ns) for part in parts):
         topic = run.inputs.streams["actuators"]
@@ -93,22 +93,22 @@ SUMMARY_VERSION = 2
 
 @dataclass(frozen=True)
 class Replayed:
-    """Everything that the results of a replay are made of."""
+    """A replayed flight with its scores, measured quantities and notes."""
 
     name: str  # Name of the flight
-    bag: Path  # Where it was recorded
+    bag: Path  # Path of the bag
     run: OfflineRun  # The replay, with at least one estimate
-    fits: Mapping[str, PredictionFit]  # Its score of record, by windows
-    evidence: Evidence  # What the flight measures of itself
-    # What the bag is like: damage, topics that were not read, inputs that end early
+    fits: Mapping[str, PredictionFit]  # Score of record, by windows
+    evidence: Evidence  # Measured quantities of the flight
+    # Notes on the bag: damage, topics that were not read, inputs that end early
     notes: tuple[str, ...] = ()
 
     @property
     def doubt(self) -> str:
-        """Why a controller should not act on the model; empty if it may.
+        """Reason why a controller should not use the model; empty if it may.
 
-        The verdict of the last tick that learned, unless the score beside it loses to holding the
-        rates.
+        It follows from the verdict of the last tick that learned, and from a score of record that
+        is worse than holding the rates.
         """
         judged, score = self.run.judged, self.fits[FIT_WINDOWS]
         if not judged.usable:
@@ -120,19 +120,19 @@ class Replayed:
 
     @cached_property
     def flight(self) -> Flight:
-        """The flight on one clock, to be drawn."""
+        """The flight on one clock, for charts."""
         return Flight(self.name, self.run)
 
     @cached_property
     def modes(self) -> list[Mode]:
-        """The modes of the model, level at the airspeed flown; none without flow angles."""
+        """Modes of the model in level flight at the last airspeed; none without flow angles."""
         last = self.run.estimates[-1]
         airspeed = last.flow.airspeed if last.flow is not None else 0.0
         return level_modes(self.run.structure, last.coefficients, last.sigma, airspeed)
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """Everything worth keeping, ready for JSON."""
+        """Content of summary.json, in plain values."""
         run, identifier = self.run, self.run.identifier
         last, result, settings = run.estimates[-1], run.result(), run.inputs.settings
         usable = np.mean([estimate.usable_rows for estimate in run.estimates], axis=0)
@@ -186,7 +186,7 @@ class Replayed:
 
 
 def _servo_lag(found: DelayEstimate, in_use: float) -> dict[str, float] | None:
-    """Return lag and delay that the flight tells apart, if it does."""
+    """Return the lag with its delay; None if the flight does not separate them."""
     if not found.lag_sure:
         return None
     return {
@@ -198,7 +198,7 @@ def _servo_lag(found: DelayEstimate, in_use: float) -> dict[str, float] | None:
 
 
 def _json(value: Any) -> Any:
-    """Return plain values; JSON knows neither tuples, nor NumPy's numbers, nor NaN or infinity."""
+    """Return plain values: JSON has no tuples, no NumPy numbers, no NaN and no infinity."""
     if isinstance(value, Mapping):
         return {key: _json(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -17,20 +17,20 @@ KNOWN_FROM = 3.0
 """t-ratio from which a coefficient counts as known."""
 
 NONE = "-"
-"""What stands for a number that there is not."""
+"""Text of a missing number."""
 
 GAP = "  "
-"""Between two columns."""
+"""Space between two columns."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number to read, with its standard deviation if it has one."""
+    """A number as a cell, with its standard deviation if it has one."""
 
     value: float | None
     style: str = ".4g"
     sigma: float | None = None
-    shaded: bool = False  # Whether the cell is the darker, the closer it is to 1 or -1
+    shaded: bool = False  # Whether to shade the cell by its magnitude, as for correlations
 
     def __str__(self) -> str:
         if self.value is None or not math.isfinite(self.value):
@@ -40,11 +40,11 @@ class Number:
 
     @property
     def share(self) -> float:
-        """Its magnitude; 0 if there is none."""
+        """Magnitude of the number; 0 if it is missing."""
         return abs(self.value) if self.value is not None and math.isfinite(self.value) else 0.0
 
     def __html__(self) -> str:
-        """Return it for a page, with the exact numbers in the ``data`` elements around it."""
+        """Return the number as HTML, with its exact value in ``data`` elements."""
         exact = zip(
             (self.value, self.sigma), str(self).replace("-", "−").split(" +− "), strict=False
         )
@@ -53,7 +53,7 @@ class Number:
 
 
 class Words(str):
-    """A cell of words, or a heading of such: it stands on the left."""
+    """A cell of text, or the heading of such cells, aligned left."""
 
 
 Cell = str | Number
@@ -70,7 +70,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; with words in `folded` it is folded up behind them on the page."""
+    """A table; with a text in `folded`, the page shows the text, which unfolds the table."""
 
     caption: str
     head: Sequence[str]
@@ -79,7 +79,7 @@ class Table:
 
 
 def columns(table: Table) -> Iterator[str]:
-    """Yield the lines of a table: words and the headings of rows stand on the left."""
+    """Yield the lines of a table: headings of rows and `Words` aligned left, the rest right."""
     if table.caption:
         yield table.caption
     lines: list[Sequence[Cell]] = [table.head, *([row.name, *row.cells] for row in table.rows)]
@@ -96,7 +96,7 @@ def columns(table: Table) -> Iterator[str]:
 
 
 def coefficients_table(summary: Mapping[str, Any], truth: Truth | None = None) -> Table:
-    """Value, sigma, t-ratio and meaning of every coefficient, and the true value if known."""
+    """Return value, sigma, t-ratio and meaning of all coefficients, and known true values."""
     rows = []
     for name, entry in summary["coefficients"].items():
         value, sigma = entry["value"], entry["sigma"]
@@ -117,7 +117,7 @@ FIT_CAPTIONS = {
     "last_40_percent": "Last 40 % of the flight",
     "after_30_s": "After 30 s",
 }
-"""Selections of windows in words."""
+"""Captions of the selections of windows."""
 
 
 def fit_tables(summary: Mapping[str, Any]) -> Iterator[Table]:
@@ -140,7 +140,7 @@ def fit_row(name: str, values: Iterable[float | None]) -> Row:
 
 
 def modes_table(summary: Mapping[str, Any]) -> Table:
-    """Frequency and damping, or time constant, of every mode with its standard deviation."""
+    """Return frequency and damping, or time constant, of all modes, with standard deviations."""
     quantities = ("frequency", "damping", "time_constant")
     rows = [
         Row(mode["name"], [Number(mode[q], ".3g", mode[f"{q}_sigma"]) for q in quantities])
@@ -151,11 +151,11 @@ def modes_table(summary: Mapping[str, Any]) -> Table:
 
 
 WIDTH = 100
-"""Columns of the longest line."""
+"""Length of the longest line, characters."""
 
 
 def write_table(summary: Mapping[str, Any]) -> str:
-    """Return the results of a replay, as in summary.json, in words and columns."""
+    """Return the results of a replay, as in summary.json, as text."""
     tables = [coefficients_table(summary), *fit_tables(summary)]
     tables += [modes_table(summary)] if summary["modes"] else []
     parts = [_heading(summary), *map(columns, tables), _verdict(summary)]
@@ -163,7 +163,7 @@ def write_table(summary: Mapping[str, Any]) -> str:
 
 
 def _heading(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what was replayed, and how."""
+    """Yield the flight, the settings, the inputs and the delay."""
     settings, reason = summary["settings"], summary["reason"]
     seconds = (summary["last_tick_ns"] - summary["first_tick_ns"]) * NS
     yield f"{summary['bag']}: {seconds:.1f} s, {summary['ticks']} ticks"
@@ -190,7 +190,7 @@ def _heading(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _verdict(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield whether the model is usable, what the bag is like, and what to do."""
+    """Yield the verdict, the notes on the bag, and the advice."""
     rows = summary["usable_rows"].items()
     each = ", ".join(f"{row} {'usable' if usable else 'not'}" for row, usable in rows)
     doubt = summary["doubt"]

@@ -41,13 +41,13 @@ class Ticks(Sequence[Estimate]):
             self.append(estimate)
 
     def append(self, estimate: Estimate) -> None:
-        """Add the next one."""
+        """Add the next estimate."""
         mask = self.structure.mask
         free, sigma = estimate.coefficients[mask], estimate.sigma[mask]
         self._packed.append(replace(estimate, coefficients=free, sigma=sigma))
 
     def chosen(self, which: Iterable[int]) -> Ticks:
-        """Return those at some places, in their order; they share the numbers."""
+        """Return the estimates at some indices, without copying their arrays."""
         result = Ticks(self.structure)
         result._packed = [self._packed[k] for k in which]
         return result
@@ -68,7 +68,7 @@ class Ticks(Sequence[Estimate]):
         return replace(packed, coefficients=values, sigma=sigma)
 
     def stamps(self) -> TimeArray:
-        """Return the ticks, ns, shape (K,)."""
+        """Return the message times of the ticks, ns, shape (K,)."""
         return np.array([packed.t_ns for packed in self._packed], dtype=np.int64)
 
     def history(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +89,7 @@ def write_estimates(
     node: str,  # Full name of the node whose topics these are
     frame_id: str,  # Frame of the predicted rates: that of the Imu
 ) -> None:
-    """Write a bag of estimates; only a bag is replaced; raises `BagWriteError`."""
+    """Write a bag of estimates; replaces nothing but a bag; raises `BagWriteError`."""
     if path.exists() and not _is_bag(path):
         raise BagWriteError(f"'{path}' exists and is no bag: it is left alone")
     latched, reliable = qos(1, transient_local=True), qos(10)
