@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: what a flight has shown, on one page that needs nothing but a browser."""
+"""`report.html`: the results of a flight on one page, for any browser."""

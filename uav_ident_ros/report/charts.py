@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charts over time: rates, inputs, forces, states, coefficients, and what was learned when."""
+"""The charts over time: rates, inputs, forces, states, coefficients, and times of learning."""
 
 from collections.abc import Iterable, Iterator
 from itertools import groupby
@@ -17,38 +17,38 @@ from uav_ident_ros.report.style import COLORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, hover, value_range
 
 RATE_BINS = (9.0, 15_000)
-"""Bins of a line of gyro samples: for each second, and the most. A bin keeps two points."""
+"""Bins of a line of gyro samples: per second, and at most. A bin keeps two points."""
 
 TICK_BINS = (5.0, 9_000)
-"""The same for predictions, inputs, forces and states."""
+"""Bins of a line of predictions, inputs, forces or states, likewise."""
 
 COEFFICIENT_POINTS = 300
 """Ticks drawn of a coefficient: it moves slowly."""
 
 STRIP_BINS = 600
-"""How finely the states are resolved."""
+"""Bins of the chart of states."""
 
 SETTLED_SHARE = 0.3
-"""Share of the flight at its start that does not decide the range of an axis: the first estimates
-jump about."""
+"""Share of the flight at its start that is ignored in the range of an axis: the first estimates
+scatter."""
 
 BAND_SHARE = 95.0
-"""Percentile of the band, after that, that the axis of a coefficient reaches."""
+"""Percentile of the settled band that the axis of a coefficient spans."""
 
 RATE_HEADROOM = 1.35
-"""The axis of the rates reaches so far beyond what was measured: a wild prediction leaves it."""
+"""Range of the axis of rates over that of the measured ones: a divergent prediction leaves it."""
 
 RESIDUAL_SHARE = 99.5
-"""Percentile of the residuals of the last 40 % of the flight that their axis reaches."""
+"""Percentile of the residuals of the last 40 % of the flight that their axis spans."""
 
 SMALLEST_RANGE = 1e-3
 """Least half-range of an axis of rates, rad/s."""
 
 GRAVEST = ("fault", "waiting", "paused", "learning", "converged")
-"""Where several states share a bin, the first of these is shown."""
+"""States in the order of severity: of several in a bin the first is shown."""
 
 MOST_REASONS = 6
-"""Reasons not to learn that get a row of their own, the longest first."""
+"""Number of reasons not to learn with a row of their own, the longest first."""
 
 AXIS_WORDS = {"p": "Roll", "q": "Pitch", "r": "Yaw"}
 UNITS = {
@@ -61,7 +61,7 @@ UNITS = {
 
 
 def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[Chart]:
-    """Yield rates with predictions and residuals, two charts for each axis."""
+    """Yield the charts of rates with predictions, and of residuals, for each axis."""
     second = flight.ahead
     for k, axis in enumerate(AXES):
         measured = flight.rates[:, k]
@@ -93,14 +93,14 @@ def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[C
 
 
 def _reach(flight: Flight, prediction: Predictions, axis: int) -> float:
-    """Return the largest residual of an axis in the last part of the flight but for outliers."""
+    """Return the largest residual of an axis in the last part of the flight, without outliers."""
     settled = prediction.t >= flight.span[1] * (1.0 - LAST_PART)
     residuals = np.abs(prediction.residual[settled, axis])
     return float(np.percentile(residuals, RESIDUAL_SHARE)) if len(residuals) else 0.0
 
 
 def signal_charts(flight: Flight, line: Timeline) -> Iterator[Chart]:
-    """Yield the inputs, the specific forces, and the states that are published."""
+    """Yield the charts of inputs, specific forces and published states."""
     groups = (
         ("input", flight.t, dict(zip(INPUTS, flight.u.T, strict=True)), "tick"),
         ("force", flight.t, dict(zip(SPECIFIC_FORCES, flight.force.T, strict=True)), "measured"),
@@ -119,7 +119,7 @@ def signal_charts(flight: Flight, line: Timeline) -> Iterator[Chart]:
 
 
 def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator[Chart]:
-    """Yield every coefficient with a band of one sigma, and its true value where that is known."""
+    """Yield the charts of all coefficients, with a band of one sigma and any true value."""
     kept = np.linspace(0, len(flight.tick_t) - 1, COEFFICIENT_POINTS).round().astype(int)
     kept = np.unique(kept)
     structure, t = flight.structure, flight.tick_t[kept]
@@ -144,11 +144,11 @@ def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator
         yield Chart(f"coefficient-{name.replace('/', '-')}", name, chart, small=True)
 
 
-# -- what was learned when ---------------------------------------------------------------------
+# -- times of learning -------------------------------------------------------------------------
 
 
 def state_chart(flight: Flight, line: Timeline, reasons: Iterable[str]) -> Chart:
-    """Return the state, the verdicts, and when the main reasons not to learn held."""
+    """Return the chart of the state, the verdicts and the main reasons not to learn."""
     rows = {
         "state": [estimate.state for estimate in flight.estimates],
         "usable": ["converged" if estimate.usable else "" for estimate in flight.estimates],
@@ -185,7 +185,7 @@ def state_chart(flight: Flight, line: Timeline, reasons: Iterable[str]) -> Chart
 
 
 def _runs(bins: Iterable[int], words: Iterable[str]) -> Iterator[tuple[str, int, int]]:
-    """Yield every run of bins with one word, its first bin, and the one after its last."""
+    """Yield every run of bins with one state: the state, its first bin, the bin after its last."""
     gravest = [""] * STRIP_BINS
     for k, word in zip(bins, words, strict=True):
         if word and (not gravest[k] or GRAVEST.index(word) < GRAVEST.index(gravest[k])):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The charts over anything but time, and what they show: whiteness, spectra, coverage, delay."""
+"""The charts not over time: whiteness, spectra, coverage, modes, delay."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -24,23 +24,23 @@ SEGMENT_TIME = 20.0
 """Length of the segments of the spectra, s: it resolves 0.05 Hz."""
 
 HIGHEST_FREQUENCY = 20.0
-"""Frequency shown, Hz: no surface and no rigid aircraft answers beyond."""
+"""Highest frequency shown, Hz: beyond the bandwidth of surfaces and rigid aircraft."""
 
 SAMPLE_RATE = 50.0
-"""Signals are resampled at this rate, Hz: 2.5 times the highest frequency."""
+"""Rate of the resampled signals, Hz: 2.5 times the highest frequency."""
 
 BANDS_PER_OCTAVE = 3
-"""Densities are averaged over thirds of an octave: a comb of sine waves is no curve otherwise."""
+"""Bands per octave over which densities are averaged: the lines of a multisine become a curve."""
 
 LONGEST_LAG = 2.0
-"""Lag up to which residuals are compared with themselves, s."""
+"""Longest lag of the autocorrelation, s."""
 
 NORMAL_95 = 1.96
 """Half-width of the interval that holds 95 % of normal deviates, in standard deviations."""
 
 
 MOST_SAMPLES = 200_000
-"""Samples that distributions are drawn of, 17 minutes at 200 Hz; of more, evenly chosen ones."""
+"""Most samples of a distribution, 17 minutes at 200 Hz; more are thinned evenly."""
 
 
 def signals(flight: Flight) -> FloatArray:
@@ -50,12 +50,12 @@ def signals(flight: Flight) -> FloatArray:
 
 
 def autocorrelation(residual: FloatArray, lags: int) -> FloatArray:
-    """Return the correlation of residuals (N, m) with themselves 1 to `lags` samples later.
+    """Return the autocorrelation of residuals (N, m) at lags of 1 to `lags` samples.
 
     Returns
     -------
     (lags, m) array
-        1 is a copy, 0 is white; within 1.96 / sqrt(N) of zero white noise stays in 95 of 100.
+        0 for white noise, of which 95 % is within 1.96 / sqrt(N) of zero.
     """
     centred = residual - residual.mean(axis=0)
     power = (centred**2).sum(axis=0)
@@ -64,7 +64,7 @@ def autocorrelation(residual: FloatArray, lags: int) -> FloatArray:
 
 
 def welch(values: FloatArray, segment: int) -> FloatArray:
-    """Return the one-sided power density of a signal (N,): half overlapping Hann windows."""
+    """Return the one-sided power density of a signal (N,) with half overlapping Hann windows."""
     from matplotlib import mlab
 
     power, _ = mlab.psd(
@@ -74,7 +74,7 @@ def welch(values: FloatArray, segment: int) -> FloatArray:
 
 
 def thirds(frequency: FloatArray, density: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Average densities (F, m) over thirds of an octave: middles (B,), Hz, and means (B, m)."""
+    """Return the averages of densities (F, m) over bands: centres (B,), Hz, and means (B, m)."""
     octaves = np.log2(frequency / frequency[0])
     band = np.floor(octaves * BANDS_PER_OCTAVE + 0.5).astype(int)
     starts = np.flatnonzero(np.diff(band, prepend=-1))
@@ -87,10 +87,10 @@ def thirds(frequency: FloatArray, density: FloatArray) -> tuple[FloatArray, Floa
 
 
 DECADES = 5.0
-"""Range of an axis of powers: below is arithmetic, not flight."""
+"""Range of an axis of powers: values below are rounding errors."""
 
 PAIRS = (("da", "dr"), ("de", "dth"), ("p", "r"), ("q", "p"))
-"""Signals across and up of each chart of the coverage."""
+"""Signals on the x and y axes of the charts of coverage."""
 
 CELLS = 36
 """Cells of such a chart along each axis."""
@@ -99,14 +99,14 @@ SHARE = (0.1, 99.9)
 """Percentiles of a signal that its axis spans."""
 
 LARGEST_RISE = 200.0
-"""Largest residual shown, percent above the least: it is the bottom of the valley that counts."""
+"""Largest prediction error shown, percent above the least: the minimum is of interest."""
 
 SMALLEST_RISE = 0.01
-"""Rise, percent, below which all delays explain the flight alike: the inputs hardly moved."""
+"""Rise, percent, below which all delays predict alike: the inputs hardly moved."""
 
 
 def _lines(chart: Any, x: FloatArray, lines: dict[str, FloatArray], unit: str) -> None:
-    """Draw lines side by side, with a legend and what the hand of the mouse is on."""
+    """Draw several lines, with a legend and tooltips."""
     source = columns({"x": x, **lines})
     for k, name in enumerate(lines):
         style = {"color": COLORS[SERIES[k]], "line_dash": DASHES[k], "line_width": 1.5}
@@ -119,7 +119,7 @@ def _lines(chart: Any, x: FloatArray, lines: dict[str, FloatArray], unit: str) -
 
 
 def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
-    """Return how much the residuals one tick ahead resemble themselves later; None if too few."""
+    """Return the autocorrelation of the residuals one tick ahead; None if there are too few."""
     residual = tick.residual[tick.t >= flight.span[1] * (1.0 - LAST_PART)]
     lags = round(LONGEST_LAG / tick.horizon)
     if len(residual) < 2 * lags:
@@ -147,7 +147,7 @@ def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
 
 
 def spectrum_charts(flight: Flight) -> Iterator[Chart]:
-    """Yield the power densities of inputs and rates; none of less than two segments.
+    """Yield the power densities of inputs and rates; none for less than two segments.
 
     They are those of the longest time base, by Welch's method.
     """
@@ -186,7 +186,7 @@ def spectrum_charts(flight: Flight) -> Iterator[Chart]:
 
 
 def coverage_charts(flight: Flight) -> Iterator[Chart]:
-    """Yield how often pairs of signals had which values."""
+    """Yield the two-dimensional histograms of pairs of signals."""
     values = dict(zip(SIGNALS, signals(flight).T, strict=True))
     for x, y in PAIRS:
         spans = [_span(values[x]), _span(values[y])]
@@ -244,18 +244,18 @@ def _span(values: FloatArray) -> tuple[float, float]:
 
 
 def delay_chart(
-    delays: FloatArray,  # (J,) Delays tried, s
-    errors: FloatArray,  # (J, 3) Squared prediction errors of p, q, r with them; or empty
-    in_use: float,  # Delay that the identifier ended with, s
+    delays: FloatArray,  # (J,) Delays of the bank, s
+    errors: FloatArray,  # (J, 3) Their squared prediction errors of p, q, r; or empty
+    in_use: float,  # Delay in use at the end, s
 ) -> Chart | None:
-    """Return how well models with every delay of the inputs predict; None if all do alike."""
+    """Return the prediction error over the delay of the inputs; None if it does not vary."""
     if not len(errors) or not (errors > 0.0).all():
         return None
     root = np.sqrt(errors)
     rows = 100.0 * (root / root.min(axis=0) - 1.0)
     if rows.max() <= SMALLEST_RISE:
         return None
-    mean = np.exp(np.log(root).mean(axis=1))  # the estimate of the delay goes by it
+    mean = np.exp(np.log(root).mean(axis=1))  # the criterion of the estimate
     together = 100.0 * (mean / mean.min() - 1.0)
     top = min(1.05 * float(rows.max()), LARGEST_RISE)
     unit = "prediction error above its least [%]"

@@ -15,7 +15,7 @@ from uav_ident_ros.report.style import COLORS
 from uav_ident_ros.report.timeline import Chart, hover, plain_figure, value_range
 
 MOST_CHARTS = 24
-"""Charts of an aircraft: its control derivatives first."""
+"""Most charts of an aircraft, control derivatives first."""
 
 
 def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:

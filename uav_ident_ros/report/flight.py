@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flight as the report shows it: everything measured, estimated and predicted, on one clock."""
+"""A flight for the report: measurements, estimates and predictions on one clock."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from uav_ident_ros.messages.published import STATE_FIELDS
 from uav_ident_ros.offline.run import BLOCK, OfflineRun, time_bases
 
 PAUSE_BETWEEN = 1.0
-"""Shown between two time bases, s: how far apart they really were is unknown or days."""
+"""Gap drawn between two time bases, s: the true gap is unknown or days long."""
 
 
 class Flight:
-    """What was measured and estimated, in order of time; rates in rad/s, body axes FRD."""
+    """Measurements and estimates in the order of time; rates in rad/s, body axes FRD."""
 
     def __init__(
         self,
         name: str,  # Name of the bag
-        run: OfflineRun,  # Finished, with one estimate at least
+        run: OfflineRun,  # Finished run with at least one estimate
     ) -> None:
         self.name = name
         self.structure = run.structure  # Structure of the estimates
         self.settings = run.inputs.settings
         self.estimates = run.estimates  # One per tick
-        self.stretches = list(run.stretches())  # The flight as the offline run gives it
-        self.time_bases = time_bases(self.stretches)  # Each rate is in one of them
-        # Of each time base the first stamp, ns, and its time here, s
+        self.stretches = list(run.stretches())
+        self.time_bases = time_bases(self.stretches)  # One stretch each, which has all its rates
+        # First stamp of each time base, ns, and its time on the common clock, s
         self._origins: dict[int, tuple[int, float]] = {}
         start = 0.0
         for part in self.time_bases:
@@ -50,13 +50,13 @@ class Flight:
         self.tick_t = np.concatenate(parts)
 
     def seconds(self, era: int, t_ns: TimeArray) -> FloatArray:
-        """Return the time of stamps of a time base since the first rates, s, same shape."""
+        """Return the time of stamps of a time base on the common clock, s, same shape."""
         first_ns, start = self._origins[era]
         return np.asarray(start + (t_ns - first_ns) * NS)
 
     @property
     def restarts(self) -> list[float]:
-        """Where a new time base begins, s."""
+        """Times at which a new time base begins, s."""
         return [start for _, start in self._origins.values()][1:]
 
     @cached_property
@@ -86,14 +86,14 @@ class Flight:
 
     @property
     def states(self) -> dict[str, FloatArray]:
-        """Published states beyond the rates, alpha and so on: name to values (K,)."""
+        """Published states besides the rates, such as alpha: name to values (K,)."""
         flows = [estimate.flow for estimate in self.estimates if estimate.flow is not None]
         values = np.array([attrgetter(*STATE_FIELDS)(flow) for flow in flows])
         return dict(zip(STATE_FIELDS, values.T, strict=True)) if flows else {}
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last time to show, s."""
+        """First and last time of the charts, s."""
         return 0.0, float(max(self.t[-1], self.tick_t[-1]))
 
 
@@ -109,10 +109,10 @@ def _inputs_at(inputs: InputSignal, t_ns: TimeArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Predictions:
-    """Rates predicted one horizon ahead, and measured, p q r in rad/s, FRD."""
+    """Rates predicted one horizon ahead, and measured ones, p q r in rad/s, FRD."""
 
-    horizon: float  # How far ahead, s
-    t: FloatArray  # (W,) Times that the predictions are for, s
+    horizon: float  # Time between the start and the end of a prediction, s
+    t: FloatArray  # (W,) Times of the ends, s
     # predicted, measured: (W, 3) Prediction and measurement at these times
     predicted: FloatArray
     measured: FloatArray
@@ -124,7 +124,7 @@ class Predictions:
 
 
 def predict(flight: Flight, horizon: float) -> Predictions:
-    """Run the model of every tick for `horizon` s."""
+    """Return the free predictions from every tick for `horizon` s."""
     parts = []
     for part in flight.stretches:
         for piece in part.pieces(horizon):

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: one file that any browser opens, from a memory stick, without a network.
-
-Its sections are in the order of the questions that they answer.
-"""
+"""`report.html`: one file for any browser, without a network."""
 
 import platform
 import re
@@ -43,7 +40,7 @@ from uav_ident_ros.report.timeline import Chart, Timeline
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page: cards, words, tables, then charts."""
+    """A section of the page: cards, texts, tables, then charts."""
 
     id: str
     heading: str
@@ -129,7 +126,7 @@ _MODES_TEXT = (
 def _delay_section(bank: DelayBank, in_use: float) -> Section:
     found, chart = bank.estimate, diagrams.delay_chart(bank.delays, bank.errors, in_use)
     text = "Too little excitation to separate delays."
-    # What was injected may have told the lag, and since then no block was judged.
+    # Injected signals may have given the lag without a block of the bank since.
     if chart or found.lag_sure:
         text = (
             f"Best prediction at {1e3 * found.delay:.0f} ms, sigma {1e3 * found.sigma:.0f} ms, "
@@ -145,11 +142,11 @@ def _delay_section(bank: DelayBank, in_use: float) -> Section:
 
 
 PACKAGES = ("numpy", "rosbags", "bokeh")
-"""Packages that the numbers or the pictures depend on."""
+"""Packages that affect the numbers or the charts."""
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this package, of Python and of what it computes and draws with."""
+    """Return the versions of this package, of Python and of `PACKAGES`."""
     own = {"uav_ident_ros": uav_ident_ros.__version__, "Python": platform.python_version()}
     return own | {package: metadata.version(package) for package in PACKAGES}
 
@@ -158,14 +155,14 @@ def versions() -> dict[str, str]:
 
 
 EARLIEST_DATE_NS = 946_684_800_000_000_000
-"""The year 2000, ns: earlier stamps count from the start of a computer and say no date."""
+"""The year 2000, ns: earlier stamps count from the start of a computer and are no dates."""
 
 _NAMES = re.compile(r'(?<=")p\d{4,}(?=")')
-"""Names that Bokeh makes up for its models, anew in every run."""
+"""Names that Bokeh gives to its models, different in every run."""
 
 
 def write_report(path: Path, replayed: Replayed) -> None:
-    """Write the report of a replay; raises `BagError`, of the hash, or `BagWriteError`."""
+    """Write the report of a replay; raises `BagError` or `BagWriteError`."""
     summary, doubt = replayed.summary, replayed.doubt
     state = f" ({summary['reason']})" if summary["reason"] and not doubt else ""
     text = render(
@@ -182,7 +179,7 @@ def write_report(path: Path, replayed: Replayed) -> None:
 
 
 def render(sections: Sequence[Section], **content: Any) -> str:
-    """Return a page with sections and their charts; `content` is what else it is to show."""
+    """Return a page with sections and their charts; `content` are further fields of the page."""
     loader = PackageLoader("uav_ident_ros.report")
     page = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     page.filters["sentence"] = _sentence
@@ -201,9 +198,9 @@ def render(sections: Sequence[Section], **content: Any) -> str:
 
 
 def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
-    """Return the charts as JSON, and the name of each in it; both are the same in every run."""
+    """Return the charts as JSON, and their names in it; both are the same in every run."""
     document, roots = Document(), {chart.identity: chart.model for chart in charts}
-    with document.models.freeze():  # each root would look through all that are there
+    with document.models.freeze():  # otherwise each root searches all models
         for model in roots.values():
             document.add_root(model)
     seen: dict[str, str] = {}
@@ -229,5 +226,5 @@ def _facts(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _sentence(text: str) -> str:
-    """Return a sentence: a capital at its beginning, a full stop at its end."""
+    """Return a text with a capital at its beginning and a full stop at its end."""
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a replay: rates beside their predictions, coefficients beside the truth."""
+"""The picture of a replay: rates with their predictions, coefficients with true values."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,15 +18,15 @@ from uav_ident_ros.report.flight import Flight, Predictions
 from uav_ident_ros.report.style import COLORS, REGRESSORS
 
 SIZE = (13.0, 8.0)
-"""Inches."""
+"""Size of the picture, inches."""
 
 DPI = 110
 
 DETAIL = 25.0
-"""Length of the rates' panels, s: a longer one hides the measurement behind the prediction."""
+"""Time shown in the panels of rates, s: in a longer one the prediction hides the measurement."""
 
 HEADROOM = 1.3
-"""The panels reach so far beyond what they are scaled by: a divergent curve leaves them."""
+"""Range of a panel over that of the values it is scaled by: a divergent curve leaves it."""
 
 BAND = 2.0
 """Half width of the band around a coefficient, standard deviations."""
@@ -34,7 +34,7 @@ BAND = 2.0
 
 def write_picture(
     path: Path,  # The PNG
-    replayed: Replayed,  # The replay; the truth lies beside its bag if the flight was simulated
+    replayed: Replayed,  # The replay; a simulated bag has a file of true values
 ) -> None:
     """Draw a replay as a PNG; raises `BagWriteError` if the file cannot be written."""
     flight, fit = replayed.flight, replayed.fits[FIT_WINDOWS]
@@ -66,7 +66,7 @@ def write_picture(
 
 
 def _draw_rate(panel: Any, axis: int, ahead: Predictions) -> None:
-    """Draw the end of the flight: the measurement wide, the prediction thin on top of it."""
+    """Draw the end of the flight: the measurement as a wide line, the prediction as a thin one."""
     shown = ahead.t >= ahead.t.max(initial=0.0) - DETAIL
     t, measured = ahead.t[shown], ahead.measured[shown, axis]
     panel.plot(t, measured, color=COLORS["measured"], alpha=0.55, linewidth=3.5, label="measured")
@@ -74,7 +74,7 @@ def _draw_rate(panel: Any, axis: int, ahead: Predictions) -> None:
         t, ahead.predicted[shown, axis],
         color=COLORS["ahead"], linewidth=1.0, label=f"predicted {ahead.horizon:g} s before",
     )  # fmt: skip
-    # without samples, or at rest, there is no scale
+    # a least range, for panels without samples or motion
     limit = HEADROOM * max(float(np.abs(measured).max(initial=0.0)), 1e-3)
     panel.set_ylim(-limit, limit)
     panel.set_ylabel(f"{AXES[axis]} [rad/s]")
@@ -82,10 +82,10 @@ def _draw_rate(panel: Any, axis: int, ahead: Predictions) -> None:
 
 
 def _draw_coefficients(panel: Any, row: int, flight: Flight, truth: Mapping[str, float]) -> None:
-    """Draw the damping and control derivatives of a row, each with its band and its truth."""
+    """Draw the damping and control derivatives of a row with their bands and true values."""
     regressors = flight.structure.regressors
     columns = [j for i, j in flight.structure.free if i == row and regressors[j] in REGRESSORS]
-    # the first half is where they come from: noise, until they have settled
+    # the second half sets the range: estimates of the first half may not have settled
     histories = {j: flight.estimates.history((row, j)) for j in columns}
     settled = np.array([values[len(values) // 2 :] for values, _ in histories.values()])
     known = [truth[name] for j in columns if (name := f"{ROWS[row]}/{regressors[j]}") in truth]
@@ -105,7 +105,7 @@ def _draw_coefficients(panel: Any, row: int, flight: Flight, truth: Mapping[str,
         panel.plot(flight.tick_t, values, color=colour, linewidth=1.3, label=text)
         if name in truth:
             panel.axhline(truth[name], color=colour, linestyle="--", linewidth=1.1)
-    # the highest first, as the curves are
+    # in the vertical order of the curves
     panel.legend(
         loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False,
         labelcolor="linecolor", handlelength=1.0,
@@ -113,7 +113,7 @@ def _draw_coefficients(panel: Any, row: int, flight: Flight, truth: Mapping[str,
 
 
 def with_sigma(value: float, sigma: float) -> str:
-    """Return a value and its standard deviation, to two figures of the latter."""
+    """Return a value with its standard deviation, to two significant figures of the latter."""
     if not (0.0 < sigma < np.inf):
         return f"{value:.3g}"
     places = max(0, 1 - int(np.floor(np.log10(sigma))))

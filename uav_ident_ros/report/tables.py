@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables that only the report has, and how a cell looks on the page."""
+"""The tables and cards of the report."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -17,15 +17,15 @@ from uav_ident_ros.report.flight import Flight
 
 
 def gates_table(lost: Mapping[str, float]) -> Table:
-    """Share of the flight at which nothing was learned, for each reason."""
+    """Return the share of the flight without learning, for each reason."""
     shares = {**lost, "learned": 1.0 - sum(lost.values())}
     rows = [Row(reason, [Number(100.0 * share, ".1f")]) for reason, share in shares.items()]
     return Table("Where the flight went, share of the ticks", ("reason", "[%]"), rows)
 
 
 def correlations_table(flight: Flight) -> Table:
-    """Correlation of all signals with the inputs."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # of what stands still there is none
+    """Return the correlations of all signals with the inputs."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # NaN for constant signals
         found = np.corrcoef(signals(flight).T)[:, : len(INPUTS)]
     rows = [
         Row(name, [Number(value, ".2f", shaded=True) for value in line])
@@ -35,7 +35,7 @@ def correlations_table(flight: Flight) -> Table:
 
 
 def coefficient_correlations(information: Information) -> Iterator[Table]:
-    """Yield how the estimates of a row's coefficients depend on one another."""
+    """Yield the correlation matrices of the estimated coefficients, row by row."""
     for row, (names, matrix) in information.correlations().items():
         rows = [
             Row(
@@ -48,7 +48,7 @@ def coefficient_correlations(information: Information) -> Iterator[Table]:
 
 
 def messages_table(summary: Mapping[str, Any]) -> Table:
-    """List what became of the messages of every stream."""
+    """Return the counts of received and dropped messages of every stream."""
     rows = []
     for stream, entry in summary["inputs"].items():
         dropped = ", ".join(f"{count} {why}" for why, count in entry["dropped"].items())
@@ -59,7 +59,7 @@ def messages_table(summary: Mapping[str, Any]) -> Table:
 
 
 def settings_tables(summary: Mapping[str, Any]) -> Iterator[Table]:
-    """Yield the settings that are not the defaults, and all others folded up."""
+    """Yield a table of settings that differ from their defaults, and a folded one of the others."""
     changed, others = [], []
     for setting in declarations():
         value = summary["settings"][setting.name]
@@ -87,11 +87,11 @@ def origin_tables(
 
 
 LOWEST_SHOWN = -100.0
-"""Fit below which the number says nothing more, percent."""
+"""Fit below which a model counts as divergent, percent."""
 
 
 def card(fit: Mapping[str, Any], axis: str) -> dict[str, Any]:
-    """Return the fit of an axis over a bar, and that of holding the rate beside it."""
+    """Return a card: the fit of an axis as a bar, that of holding the rate as a mark."""
     model, hold = fit["model"][axis], fit["hold"][axis]
     share, mark = (min(max(value or 0.0, 0.0), 100.0) for value in (model, hold))
     return {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Charts over time with Bokeh: one range and one crosshair for all of them."""
+"""Charts over time with Bokeh, with a common range and crosshair."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.report.style import COLORS
 
 LEFT = 64
-"""Room for the labels left of a chart, pixels: charts one below the other begin at one line."""
+"""Left margin for the labels, pixels, the same for all charts of a column."""
 
 WITH_BUTTONS = 200
-"""Height of a chart from which it has buttons, pixels; a lower one moves with it."""
+"""Height from which a chart has buttons, pixels; lower ones move with it."""
 
 HEADROOM = 0.08
-"""Room beyond the values on an axis, relative to their range."""
+"""Margin beyond the values on an axis, relative to their range."""
 
 
 @dataclass(frozen=True)
@@ -38,22 +38,22 @@ class Chart:
     """A chart on the page."""
 
     identity: str  # Unique on the page
-    heading: str  # What it shows
+    heading: str  # Heading above the chart
     model: Any  # The Bokeh figure
-    caption: str = ""  # How to read it
-    legend: tuple[tuple[str, str], ...] = ()  # Names, and the colours that stand for them
-    small: bool = False  # Whether several fit side by side
+    caption: str = ""  # Explanation below the chart
+    legend: tuple[tuple[str, str], ...] = ()  # Names and their colours
+    small: bool = False  # Whether several charts stand side by side
 
 
 def columns(values: Mapping[str, Any]) -> ColumnDataSource:
-    """Return a source of numbers of single precision: half the size on the page."""
+    """Return a data source in single precision, which halves the size of the page."""
     return ColumnDataSource(
         {name: np.asarray(column, dtype=np.float32) for name, column in values.items()}
     )
 
 
 def value_range(*values: FloatArray) -> Range1d:
-    """Return a range that holds the finite ones of some values."""
+    """Return a range that holds all finite values."""
     every = np.concatenate([np.ravel(v) for v in values])
     every = every[np.isfinite(every)]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 0.0)
@@ -90,7 +90,7 @@ def plain_figure(height: int, along: str | None, unit: str, **options: Any) -> A
 
 
 def hover(chart: Any, drawn: Any, *tips: tuple[str, str], mode: str = "mouse") -> None:
-    """Let the hand on what is drawn read the tips: headings, and what stands behind them."""
+    """Add tooltips to a drawn object: pairs of a label and a field."""
     chart.add_tools(HoverTool(renderers=[drawn], mode=mode, tooltips=[*tips], visible=False))
 
 
@@ -100,7 +100,7 @@ class Timeline:
     def __init__(
         self,
         span: tuple[float, float],  # First and last time, s
-        restarts: Sequence[float],  # Where a new time base begins, s
+        restarts: Sequence[float],  # Times at which a new time base begins, s
     ) -> None:
         self.span = span
         self._restarts = restarts
@@ -110,7 +110,7 @@ class Timeline:
         )
 
     def figure(self, unit: str, height: int, **options: Any) -> Any:
-        """Return an empty chart over time that moves with all others."""
+        """Return an empty chart over time that pans and zooms with all others."""
         result = plain_figure(height, "time [s]", unit, x_range=self._range, **options)
         pan, wheel = PanTool(dimensions="width"), WheelZoomTool(dimensions="width")
         wheel.modifiers = {"ctrl": True}  # the bare wheel scrolls the page
@@ -131,16 +131,16 @@ class Timeline:
         self,
         t: FloatArray,  # (k,) Times, s, rising
         signals: Mapping[str, FloatArray],  # Names and values, (k,) each
-        bins: tuple[float, int],  # Bins for each second, and the most
+        bins: tuple[float, int],  # Bins per second, and at most
     ) -> ColumnDataSource:
-        """Return signals for the lines of charts, thinned without losing a peak."""
+        """Return a data source of signals, thinned without losing a peak."""
         per_second, most = bins
         return columns(thin(t, signals, min(most, max(1, round(per_second * self.span[1])))))
 
     def line(
         self, chart: Any, source: ColumnDataSource, column: str, color: str, **options: Any
     ) -> None:
-        """Draw a column of a source over its column ``t``; the colour by its name."""
+        """Draw a column of a source over its column ``t``; the colour is a name in `COLORS`."""
         name = str(options.pop("name", column))
         drawn = chart.line("t", column, source=source, name=name, color=COLORS[color], **options)
         tips = (("time", "@t{0.00} s"), (name, f"@{{{column}}}{{0.0000}}"))
@@ -148,15 +148,15 @@ class Timeline:
 
 
 LONGEST_GAP = 0.5
-"""Time without samples from which a line is broken, s."""
+"""Time without samples from which a line is interrupted, s."""
 
 
 def thin(
     t: FloatArray,  # (k,) Times, s, rising
     columns: Mapping[str, FloatArray],  # Names and values, (k,) each
-    bins: int,  # Bins over the whole time; no more than twice as many samples stay as they are
+    bins: int,  # Number of bins; up to twice as many samples are not thinned
 ) -> dict[str, FloatArray]:
-    """Keep the smallest and the largest value of every column in every bin of time.
+    """Return the smallest and the largest value of every column in every bin of time.
 
     Returns
     -------
@@ -170,7 +170,7 @@ def thin(
         starts = np.union1d(np.flatnonzero(np.diff(place, prepend=-1)), gaps)
         ends = np.append(starts[1:], len(t)) - 1
         low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
-        # In the order in which the line runs, so that a slope stays a slope.
+        # the order of the two keeps the slope of the line
         rises = values[ends] >= values[starts]
         pairs = np.stack([np.where(rises, low, high), np.where(rises, high, low)], axis=1)
         gaps = 2 * np.searchsorted(starts, gaps)
