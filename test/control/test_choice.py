@@ -320,7 +320,7 @@ def test_a_reversed_input_is_turned_on_all_that_it_moves() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
     chosen = AxisChoice(source, changed(coefficients(), "rdot/da", -2.0, 0.1), LIMITS)
     measured = Effectiveness()
-    measured._doubt[0, 0] = SURE
+    measured._log_ratio[0, 0] = SURE
     assert chosen.update(LATER, measured).values[:, 2].tolist() == [-29.5, 0.0, 2.0]
     source.add(changed(coefficients(), "rdot/da", -2.0, 0.1))  # has not noticed anything yet
     assert chosen.update(LATER, measured).values[:, 2].tolist() == [-29.5, 0.0, 2.0]
@@ -337,7 +337,7 @@ def test_an_input_that_does_nothing_has_the_sign_of_before(reversals: int) -> No
     chosen, measured = choice()[0], Effectiveness()
     before = chosen.update(START, measured).values[:, 2].tolist()
     for _ in range(reversals):
-        measured._doubt[0, 0] = SURE
+        measured._log_ratio[0, 0] = SURE
         chosen.update(LATER, measured)
     measured.dead[0] = True
     for _ in range(2):

@@ -43,8 +43,8 @@ def allocate(
     # the unknowns are shares of travel, s: u = travel * s
     rows = np.vstack([weight[:, None] * effect * travel, REST * np.eye(len(low))])
 
-    def solved(asked: FloatArray) -> FloatArray:
-        target = np.append(weight * asked, np.zeros(len(low)))
+    def solved(demand: FloatArray) -> FloatArray:
+        target = np.append(weight * demand, np.zeros(len(low)))
         share = bounded_least_squares(rows, target, low / travel, high / travel)
         return np.clip(travel * share, low, high)
 

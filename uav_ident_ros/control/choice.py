@@ -91,7 +91,7 @@ class AxisChoice:
         self._agreed_ns = np.full(len(ROWS), np.iinfo(np.int64).max)
         self._sources = [NOMINAL] * len(ROWS)
         # Inputs whose sign is reversed, on every axis, until their own axis is learned anew
-        self._turned = np.zeros(len(INPUTS), dtype=bool)
+        self._inverted = np.zeros(len(INPUTS), dtype=bool)
         self._seen: Coefficients | None = None
         self._reasons = [""] * len(ROWS)
 
@@ -106,13 +106,13 @@ class AxisChoice:
             # without roll control the linear model does not hold for pitch and yaw
             certain = (np.arange(len(ROWS)) == 0) | ~measured.dead[0]
             self._adopt(t_ns, measured)
-            self._turn(measured, certain)
+            self._invert_signs(measured, certain)
             self._scale(t_ns, measured, certain)
         values = self._rows.copy()
         values[AXES, MAINS] = self._main
         rescaled = zip(self._rescaled.tolist(), self._sources, strict=True)
         sources = tuple(MEASURED if other else source for other, source in rescaled)
-        share = _over(self._main, self.nominal[AXES, MAINS])
+        share = _quotient(self._main, self.nominal[AXES, MAINS])
         return Effect(values, share, sources, (*self._reasons,))
 
     @property
@@ -122,7 +122,7 @@ class AxisChoice:
         values[AXES, MAINS] = self.nominal[AXES, MAINS]
         return values
 
-    def forget_measured(self) -> None:
+    def discard_measured(self) -> None:
         """Return to the adopted main derivatives, after a measurement with a wrong delay."""
         self._main = self._rows[AXES, MAINS]
 
@@ -137,12 +137,12 @@ class AxisChoice:
                 if fresh is None:
                     continue
                 found, known = control_derivatives(fresh)
-                row = np.where(known[i] & ~self._turned, found[i], self._rows[i])
+                row = np.where(known[i] & ~self._inverted, found[i], self._rows[i])
                 row[MAINS[i]] = found[i, MAINS[i]]
-                reason = self._against(i, row, bool(known[i, MAINS[i]]), measured)
+                reason = self._rejection(i, row, bool(known[i, MAINS[i]]), measured)
                 if not reason:
                     self._rows[i], self._main[i] = row, row[MAINS[i]]
-                    self._sources[i], self._turned[MAINS[i]] = IDENTIFIED, False
+                    self._sources[i], self._inverted[MAINS[i]] = IDENTIFIED, False
                     adopted.append(i)
             if reason and self._sources[i] == IDENTIFIED:
                 self._sources[i] = LAST_GOOD
@@ -163,13 +163,13 @@ class AxisChoice:
     @property
     def _flown(self) -> FloatArray:
         """Main derivatives in use over the adopted ones, (3,): 1 unless a measured one is used."""
-        return _over(self._main, self._rows[AXES, MAINS])
+        return _quotient(self._main, self._rows[AXES, MAINS])
 
     @property
     def _rescaled(self) -> BoolArray:
         return np.asarray(np.abs(self._flown - 1.0) > NOTICEABLE)
 
-    def _against(self, i: int, found: FloatArray, known: bool, measured: Effectiveness) -> str:
+    def _rejection(self, i: int, found: FloatArray, known: bool, measured: Effectiveness) -> str:
         """Return the reason not to adopt a row; empty if there is none."""
         row = ROWS[i]
         if not known:
@@ -177,27 +177,27 @@ class AxisChoice:
         share = authority(found[None], self._limits)[0] / self.scale[i]
         if not FLYABLE[0] <= share <= FLYABLE[1]:
             return f"{row} would have {share:.2g} times its nominal authority"
-        share = float(_over(found[MAINS[i]], self._main[i]))
+        share = float(_quotient(found[MAINS[i]], self._main[i]))
         if share < 0.0 and not measured.reversed[i]:
             return f"{row} would turn its sign, which the flight does not show"
         if self._rescaled[i] and abs(share - 1.0) > 2.0 * NOTICEABLE:
             return f"{row} is measured to have {self._flown[i]:.2f} times its effect"
         return ""
 
-    def _turn(self, measured: Effectiveness, certain: BoolArray) -> None:
+    def _invert_signs(self, measured: Effectiveness, certain: BoolArray) -> None:
         """Reverse the sign of an input that acts the wrong way, on all axes."""
         for i in np.flatnonzero(measured.reversed & certain):
-            self._turn_axis(i, MEASURED)
+            self._invert_axis(i, MEASURED)
             measured.changed(int(i))
         # A jamming surface causes one jerk of the wrong sign, but a surface without effect has no
         # sign. With the former sign the loop is right when it comes free.
-        for i in np.flatnonzero(measured.dead & self._turned[MAINS] & certain):
-            self._turn_axis(i, LAST_GOOD)
+        for i in np.flatnonzero(measured.dead & self._inverted[MAINS] & certain):
+            self._invert_axis(i, LAST_GOOD)
 
-    def _turn_axis(self, i: np.intp, source: str) -> None:
+    def _invert_axis(self, i: np.intp, source: str) -> None:
         """Reverse the sign of the input of an axis."""
         self._rows[:, MAINS[i]] = -self._rows[:, MAINS[i]]
-        self._turned[MAINS[i]] = not self._turned[MAINS[i]]
+        self._inverted[MAINS[i]] = not self._inverted[MAINS[i]]
         self._main[i], self._sources[i] = self._rows[i, MAINS[i]], source
 
     def _scale(self, t_ns: int, measured: Effectiveness, certain: BoolArray) -> None:
@@ -232,6 +232,6 @@ class AxisChoice:
         self._measured_ns = np.where(taken, t_ns, self._measured_ns)
 
 
-def _over(values: FloatArray, of: FloatArray) -> FloatArray:
+def _quotient(values: FloatArray, of: FloatArray) -> FloatArray:
     """Return the quotient of two arrays; 1 where the divisor is zero."""
     return np.asarray(np.where(of != 0.0, values / np.where(of != 0.0, of, 1.0), 1.0))

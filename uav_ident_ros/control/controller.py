@@ -108,23 +108,25 @@ class RateController:
     def _measure(self, before_ns: int, dt: float, x: FloatArray) -> None:
         """Update the measured effectiveness and delay by the `dt` s since the last sample."""
         inputs = np.array([self._acting(before_ns, delay) for delay in self.delay.delays])
-        led = self._references.at(before_ns - round(self.delay.delay * 1e9))
-        answer, choice = self._response, self._choice
-        if not answer.update(x, choice.measured_by, inputs, dt, choice.model, led):
+        delayed_reference = self._references.at(before_ns - round(self.delay.delay * 1e9))
+        response, choice = self._response, self._choice
+        if not response.update(x, choice.measured_by, inputs, dt, choice.model, delayed_reference):
             return
         believed = self.effect.share
-        if self.delay.update(answer.answered, answer.made * believed, answer.acceleration, dt):
+        if self.delay.update(
+            response.answered, response.made * believed, response.acceleration, dt
+        ):
             for axis in range(len(x)):
                 self.effectiveness.changed(axis)
-            choice.forget_measured()
-        delay, rival = self.delay.believed, self.delay.rival
+            choice.discard_measured()
+        delay, rival = self.delay.in_use, self.delay.rival
         self.effectiveness.update(
-            answer.answered[delay],
-            answer.made[delay],
+            response.answered[delay],
+            response.made[delay],
             dt,
-            answer.demanded,
+            response.demanded,
             believed,
-            None if rival is None else (answer.answered[rival], answer.made[rival]),
+            None if rival is None else (response.answered[rival], response.made[rival]),
         )
 
     def _acting(self, t_ns: int, delay: float) -> FloatArray:

@@ -68,7 +68,7 @@ SURE = 22.0
 onset of severe gusts (6 of 7) reaches 8 for 'reversed', an aileron with half of its effect 7; a
 reversed one passes it in a tenth of a second."""
 
-LEAST_DOUBT = 0.1
+LEAST_DETECTION_TIME = 0.1
 """Shortest time to reach `SURE`, s. A shifting load turns the aircraft one way while the inputs
 already move the other way, for as long as the filter keeps it."""
 
@@ -79,7 +79,7 @@ effect is weak, not lost."""
 UNKNOWN = 1e3
 """Standard deviation of g before any measurement."""
 
-LOOKS = round(WINDOW / PERIOD)
+EVALUATIONS = round(WINDOW / PERIOD)
 SHAPES = (2, 2, 3), (2, 2, 3, 3), (1, 3), (1, 3)
 """Evaluations in a window, and shapes of the integrals, axes last: answered and made times demanded
 and made; their autocovariances, times demanded, 1 and made; demanded^2; 1."""
@@ -97,16 +97,16 @@ class Effectiveness:
     def restart(self) -> None:
         """Discard all measurements."""
         # Fading sums of z answered and z made, for z = demanded, 1 and made, of each axis
-        self._near = np.zeros((2, 3, 3))
+        self._recent = np.zeros((2, 3, 3))
         # Fading sum of the rest, and its mean power, (rad/s^3)^2 s
-        self._near_rest, self._rest = np.zeros(3), np.zeros(3)
+        self._recent_rest, self._rest = np.zeros(3), np.zeros(3)
         # Integrals (`SHAPES`), with the power of the rest in the last row: now, at the evaluations
         # of the window (a ring buffer), and at the begin of the last change
         self._total = np.zeros((PLACES[-1] + 1, 3))
-        self._looks, self._oldest = np.zeros((LOOKS, *self._total.shape)), 0
+        self._past, self._oldest = np.zeros((EVALUATIONS, *self._total.shape)), 0
         self._start = np.zeros_like(self._total)
-        self._noise, self._doubt = np.zeros((2, 3)), np.zeros((2, 3))  # reversed, lost
-        self._age = self._since_look = 0.0
+        self._noise, self._log_ratio = np.zeros((2, 3)), np.zeros((2, 3))  # reversed, lost
+        self._age = self._since_evaluation = 0.0
         # g of roll, pitch, yaw over the window, and its standard deviation, (3,)
         self.factor, self.sigma = np.ones(3), np.full(3, UNKNOWN)
         # The same since the begin of the last change
@@ -119,12 +119,12 @@ class Effectiveness:
     @property
     def reversed(self) -> BoolArray:
         """Axes whose inputs act with the sign opposite to that in use, shape (3,)."""
-        return np.asarray(self._doubt[0] >= SURE)
+        return np.asarray(self._log_ratio[0] >= SURE)
 
     def changed(self, axis: int) -> None:
         """Discard the measurements of an axis, after a change of its inputs."""
-        integrals = (part[..., : PLACES[-1], :] for part in (self._total, self._looks, self._start))
-        for part in (self._near, self._near_rest, self._doubt, *integrals):
+        integrals = (part[..., : PLACES[-1], :] for part in (self._total, self._past, self._start))
+        for part in (self._recent, self._recent_rest, self._log_ratio, *integrals):
             part[..., axis] = 0.0
         self.factor[axis] = self.moved[axis] = self.since[axis] = 1.0
         self.sigma[axis] = self.moved_sigma[axis] = self.since_sigma[axis] = UNKNOWN
@@ -132,7 +132,7 @@ class Effectiveness:
 
     def begin(self, axes: BoolArray) -> None:
         """Restart the sums since the change at the begin of the window, for some axes, (3,)."""
-        self._start[:, axes] = self._looks[self._oldest][:, axes]
+        self._start[:, axes] = self._past[self._oldest][:, axes]
         self.since[axes], self.since_sigma[axes] = self.factor[axes], self.sigma[axes]
 
     def update(
@@ -152,23 +152,23 @@ class Effectiveness:
         instruments = np.stack([demanded, np.ones_like(demanded), made])
         sample = np.stack([answered, made])[:, None] * instruments
         keep = math.exp(-dt / CORRELATION)
-        self._near = keep * self._near + sample
-        products = dt**2 * sample[:, None] * (2.0 * self._near - sample)
+        self._recent = keep * self._recent + sample
+        products = dt**2 * sample[:, None] * (2.0 * self._recent - sample)
         parts = dt * sample[:, ::2], products, dt * demanded**2, np.full(3, dt)
         self._total[:-1] += np.vstack([part.reshape(-1, 3) for part in parts])
         self._age += dt
         surely = np.abs(self.factor - believed) > OUTLIER * self.sigma
         rest = answered - np.where(surely, self.factor, believed) * made
-        self._near_rest = keep * self._near_rest + rest
-        power = dt * rest * (2.0 * self._near_rest - rest)
+        self._recent_rest = keep * self._recent_rest + rest
+        power = dt * rest * (2.0 * self._recent_rest - rest)
         self._rest += dt / min(self._age, REST_MEMORY) * (power - self._rest)
         if rival is not None:
             rival = rival[0], rival[1] * believed
         self._compare(answered, made * believed, dt, rival)
-        self._since_look += dt
-        if self._since_look >= PERIOD:
-            self._since_look = 0.0
-            self._look()
+        self._since_evaluation += dt
+        if self._since_evaluation >= PERIOD:
+            self._since_evaluation = 0.0
+            self._evaluate()
         if rival is not None:
             for sigma in (self.sigma, self.moved_sigma, self.since_sigma):
                 sigma[:] = UNKNOWN
@@ -195,19 +195,19 @@ class Effectiveness:
             plain = np.minimum(plain, (rival[0] - rival[1]) ** 2)
         ratio = plain - (clipped - instead * made) ** 2
         step = BANDWIDTH / 2.0 * ratio / (2.0 * np.maximum(self._noise, 1e-12))
-        most = SURE / LEAST_DOUBT
-        self._doubt = np.clip(self._doubt + dt * np.clip(step, -most, most), 0.0, SURE)
-        lost = self._doubt[1]
+        most = SURE / LEAST_DETECTION_TIME
+        self._log_ratio = np.clip(self._log_ratio + dt * np.clip(step, -most, most), 0.0, SURE)
+        lost = self._log_ratio[1]
         self.dead = np.where(self.dead, lost > 0.0, lost >= SURE)
 
-    def _look(self) -> None:
+    def _evaluate(self) -> None:
         """Compute g and its sigma over the window and since the last change."""
         self._total[-1] = self._rest
-        before = self._looks[self._oldest]
+        before = self._past[self._oldest]
         (self.factor, self.moved), (self.sigma, self.moved_sigma) = self._solved(before)
         (self.since, _), (self.since_sigma, _) = self._solved(self._start)
-        self._looks[self._oldest] = self._total
-        self._oldest = (self._oldest + 1) % LOOKS
+        self._past[self._oldest] = self._total
+        self._oldest = (self._oldest + 1) % EVALUATIONS
 
     def _solved(self, before: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return g by the instrument and by least squares, and their sigmas, since `before`."""

@@ -53,8 +53,8 @@ class InversionLaw:
         acting: FloatArray,
     ) -> FloatArray:
         """Return de, dr, da, dth; parameters as of `IncrementalLaw.update`, and the model."""
-        by_itself = without_flow(model, x)
-        known = by_itself + effect @ acting
+        unforced = without_flow(model, x)
+        known = unforced + effect @ acting
         # bumpless transfer to a new model: the sum of model and disturbance stays
         before = without_flow(self._model, x) + self._effect @ acting
         self._disturbance = self._disturbance + before - known
@@ -63,7 +63,7 @@ class InversionLaw:
         self._xhat = self._xhat + dt * (known + self._disturbance + 2.0 * w * error)
         self._disturbance = self._disturbance + dt * w**2 * error
         wanted = self._reference.wanted(dt, x, reference) - self._disturbance
-        return allocate(effect, wanted - by_itself, self.limits, self.scale)
+        return allocate(effect, wanted - unforced, self.limits, self.scale)
 
 
 def without_flow(model: AttitudeModel, x: FloatArray) -> FloatArray:

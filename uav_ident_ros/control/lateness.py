@@ -32,14 +32,14 @@ MEMORY = 5.0
 """Time constant of forgetting, s. A delay seldom changes in flight, but a wrong one must be found
 before the oscillation grows too large."""
 
-DOUBT, SURE = 2.0, 10.0
+RIVAL, SURE = 2.0, 10.0
 """Log-likelihood ratios from which another delay is a rival of the one in use, odds of 7 to 1, and
 replaces it, of 22,000 to 1: neighbouring samples correlate more than is accounted for."""
 
 PERIOD = 0.05
 """Time between comparisons, s: short relative to the memory."""
 
-NOTHING = 1e-12
+LEAST_RESIDUAL = 1e-12
 """Lower bound of the residual power over that of the jerk."""
 
 
@@ -52,13 +52,13 @@ class DelayMeter:
     ) -> None:
         steps, sooner = round(LATEST / STEP), max(0, round((assumed - SOONEST) / STEP))
         self.delays = assumed + STEP * np.arange(-sooner, steps + 1)  # (n,) The bank, s
-        self.believed = sooner  # Index of the delay in use
+        self.in_use = sooner  # Index of the delay in use
         self.restart()
 
     @property
     def delay(self) -> float:
         """The delay in use, s."""
-        return float(self.delays[self.believed])
+        return float(self.delays[self.in_use])
 
     def restart(self) -> None:
         """Discard the measurements; the delay in use stays."""
@@ -87,10 +87,10 @@ class DelayMeter:
         self._since = 0.0
         likely = self.likelihood()
         best = int(np.argmax(likely))
-        lead = likely[best] - likely[self.believed]
-        self.rival = best if DOUBT < lead <= SURE else None
+        lead = likely[best] - likely[self.in_use]
+        self.rival = best if RIVAL < lead <= SURE else None
         if lead > SURE:
-            self.believed = best
+            self.in_use = best
         return bool(lead > SURE)
 
     def likelihood(self) -> FloatArray:
@@ -101,6 +101,6 @@ class DelayMeter:
         aligned = np.maximum(my - ma * rest, 0.0)  # a reversed effect is no delay
         explained = aligned**2 / np.where(alone > 0.0, alone, 1.0) + rest * ay
         squares = np.where(yy > 0.0, yy, 1.0)
-        left = np.maximum(squares - explained, NOTHING * squares)
+        left = np.maximum(squares - explained, LEAST_RESIDUAL * squares)
         samples = self._weight * BANDWIDTH / 2.0
         return np.asarray(-0.5 * samples * np.log(left).sum(axis=-1))

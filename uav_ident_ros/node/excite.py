@@ -96,18 +96,18 @@ class Excite:
 
     def values(self) -> Iterator[tuple[str, str]]:
         """Yield the state of the run for /diagnostics, each value with its label."""
-        run, taught = self._run, self._run.sufficiency
+        run, sufficiency = self._run, self._run.sufficiency
         yield "state", run.phase.value
         yield "last run", run.why or "none yet"
-        if taught is None:
+        if sufficiency is None:
             return
         if run.active:
             yield "elapsed [s]", f"{run.elapsed:.1f}"
             yield "remaining [s]", f"{run.remaining:.1f}"
-            left = taught.time_left
+            left = sufficiency.time_left
             yield "until known [s]", f"{left:.0f}" if math.isfinite(left) else "unknown"
-        yield "not known yet", ", ".join(taught.unknown) or "nothing"
-        for name, (coefficient, value, sigma) in taught.effects.items():
+        yield "not known yet", ", ".join(sufficiency.unknown) or "nothing"
+        for name, (coefficient, value, sigma) in sufficiency.effects.items():
             yield f"effect of {name}", f"{coefficient} = {value:.3g} +- {sigma:.2g}"
 
     def _log_end(self) -> None:

@@ -203,7 +203,7 @@ class IdentifierNode(Node):
 
     def _state(self) -> tuple[str, str]:
         """Return state and reason: those of faults first, then of inputs, then of the estimate."""
-        missed = self._waiting.reason(self._meter.count)
+        missing = self._waiting.reason(self._meter.count)
         fault = (
             self._guard.problem
             or self._inputs.rates.fault
@@ -211,8 +211,8 @@ class IdentifierNode(Node):
         )
         if fault:
             return "fault", fault
-        if missed or self._estimate is None:
-            return "waiting", missed or "the first tick is not due yet"
+        if missing or self._estimate is None:
+            return "waiting", missing or "the first tick is not due yet"
         return self._estimate.state, self._estimate.reason
 
     def _values(self) -> Iterator[tuple[str, str]]:

@@ -58,7 +58,7 @@ def state_path(settings: Settings, node_name: str) -> Path | None:
     return home / "uav_ident_ros" / f"{node_name.strip('/').replace('/', '.')}.yaml"
 
 
-def recall(
+def read_state(
     path: Path, settings: Settings, now: datetime
 ) -> tuple[CoefficientSet, Notes, timedelta]:
     """Return coefficients, notes and age of a state file; raise if too old or of other settings.
@@ -121,7 +121,7 @@ class Memory:
             return
         try:
             remove_leftovers(path)
-            held, notes, age = recall(path, self._identifier.settings, now or datetime.now(UTC))
+            held, notes, age = read_state(path, self._identifier.settings, now or datetime.now(UTC))
             self._identifier.resume(held, notes.delay, notes.servo_lag)
         except FileNotFoundError:
             # Warn before the flight if the file cannot be written.
@@ -161,13 +161,13 @@ class Memory:
         self._look(FINISH_WITHIN if last else 0.0)
         if self._writing is not None:
             return False, f"the disk does not answer: still writing '{path}'"
-        lag, told = self._identifier.lag, self._identifier.settings.actuators.time_constant
+        lag, configured = self._identifier.lag, self._identifier.settings.actuators.time_constant
         notes = Notes(
             saved=datetime.now(UTC),
             usable=estimate.usable,
             delay=self._identifier.delay,
             learned_with=_meaning(self._identifier.settings),
-            servo_lag=None if lag == told else lag,
+            servo_lag=None if lag == configured else lag,
         )
         coefficients = self._identifier.coefficient_set(estimate.t_ns)
         self._writing = self._disk.submit(self._write, path, coefficients, notes)

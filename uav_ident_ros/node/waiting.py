@@ -23,25 +23,25 @@ from uav_ident_ros.node.inputs import Input
 OWN_OUTPUT = "coefficients_named"
 """Topic that marks a node as an identifier, whose topics are no inputs."""
 
-UNHEARD: dict[str, tuple[ReliabilityPolicy | DurabilityPolicy, ...]] = {
+INCOMPATIBLE_QOS: dict[str, tuple[ReliabilityPolicy | DurabilityPolicy, ...]] = {
     "reliability": (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
     "durability": (DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL),
 }
 """Incompatible QoS, by policy: offered by a publisher, and requested by a subscription."""
 
 
-def why_silent(node: Node, wanted: Input) -> str:
+def silence_reason(node: Node, wanted: Input) -> str:
     """Return the reason why nothing arrives on a topic, and the cure."""
     ends, kind = node.get_publishers_info_by_topic(wanted.topic), wanted.feed.type_name
     if not ends:
-        return f"nobody publishes '{wanted.topic}': {_instead(node, wanted)}"
+        return f"nobody publishes '{wanted.topic}': {_alternative_topic(node, wanted)}"
     fitting = [end for end in ends if end.topic_type == kind]
     if not fitting:
         other, stream = ends[0].topic_type, wanted.stream
         cure = f"set '{stream.setting}' to {other}" if other in stream.types else ""
         return (
             f"'{wanted.topic}' of {_owner(ends[0])} carries {other}, but {kind} is expected: "
-            f"{cure or _instead(node, wanted)}"
+            f"{cure or _alternative_topic(node, wanted)}"
         )
     problems = [_mismatch(end.qos_profile, wanted) for end in fitting]
     if all(problems):
@@ -51,7 +51,7 @@ def why_silent(node: Node, wanted: Input) -> str:
 
 def _mismatch(offered: QoSProfile, wanted: Input) -> str:
     """Return the incompatible QoS policy of a publisher and a subscription; empty if none."""
-    for policy, (less, more) in UNHEARD.items():
+    for policy, (less, more) in INCOMPATIBLE_QOS.items():
         if getattr(offered, policy) == less and getattr(wanted.qos, policy) == more:
             name = less.name.lower()
             return (
@@ -61,7 +61,7 @@ def _mismatch(offered: QoSProfile, wanted: Input) -> str:
     return ""
 
 
-def _instead(node: Node, wanted: Input) -> str:
+def _alternative_topic(node: Node, wanted: Input) -> str:
     """Return advice on a topic that may be meant, or that none fits."""
     found, stream, own = _published(node), wanted.stream, wanted.feed.type_name
     for kinds in ((own,), stream.types):
@@ -99,7 +99,7 @@ class Progress:
     def __init__(self, first: int | None) -> None:
         self._last, self._since = first, time.monotonic()
 
-    def stood(self, value: int | None) -> float:
+    def unchanged_for(self, value: int | None) -> float:
         """Return the time since the value changed, s; 0 if it differs from the last one."""
         now = time.monotonic()
         if value != self._last:
@@ -148,23 +148,23 @@ class Waiting:
 
     def reason(self, ticks: int) -> str:
         """Return the missing input and the cure, given the number of ticks; empty if none."""
-        ticks_stood = self._ticks.stood(ticks)
-        self.imu_moves = self._stamp.stood(self._identifier.intake.newest_ns) == 0.0
+        ticks_unchanged_for = self._ticks.unchanged_for(ticks)
+        self.imu_moves = self._stamp.unchanged_for(self._identifier.intake.newest_ns) == 0.0
         lost = [self._all_dropped(own) for own in self._inputs]
-        if found := self._clock_stands():
+        if found := self._clock_problem():
             return found
-        silent = map(self._silent, self._inputs)
+        silent = map(self._silence_problem, self._inputs)
         if found := next(filter(None, itertools.chain(silent, lost)), ""):
             return found
-        if ticks and ticks_stood <= SILENT_AFTER:
+        if ticks and ticks_unchanged_for <= SILENT_AFTER:
             return ""
         return "no tick is due any more" if ticks else "the first tick is not due yet"
 
-    def _clock_stands(self) -> str:
+    def _clock_problem(self) -> str:
         """Return the problem of a /clock that stands still; empty if it advances or is unused."""
         clock = self._node.get_clock()
         now_ns = clock.now().nanoseconds
-        if self._clock.stood(now_ns) <= SILENT_AFTER or not clock.ros_time_is_active:
+        if self._clock.unchanged_for(now_ns) <= SILENT_AFTER or not clock.ros_time_is_active:
             return ""
         if now_ns == 0:
             return (
@@ -173,17 +173,17 @@ class Waiting:
             )
         return "/clock stands still"
 
-    def _silent(self, own: Input) -> str:
+    def _silence_problem(self, own: Input) -> str:
         """Return the reason why no message of an input arrives; empty if they do."""
         age = own.age()
         # Some autopilots publish the armed state only when it changes.
         if age is not None and (age <= SILENT_AFTER or own.stream.name == ARMED):
             return ""
         since = "yet" if age is None else f"for more than {SILENT_AFTER:g} s"
-        missed = f"no message on '{own.topic}' {since}"
+        missing = f"no message on '{own.topic}' {since}"
         if time.monotonic() - self._began < DISCOVERY_TIME:
-            return missed
-        return f"{missed}: {why_silent(self._node, own)}"
+            return missing
+        return f"{missing}: {silence_reason(self._node, own)}"
 
     def _all_dropped(self, own: Input) -> str:
         """Return the reason why all messages of the last seconds were dropped; empty if not all."""

@@ -140,8 +140,8 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
 
 def wrong_setup(e: Evidence) -> Iterator[str]:
     """Yield the settings that are off and widen sigma, without the delay (`wrong_delay`)."""
-    told, _, _ = e.delay.contradiction(e.delay_in_use).partition(": ")  # without the cure
-    yield from dict.fromkeys(r for r in e.setup if r and not r.startswith(told))
+    delay_problem, _, _ = e.delay.contradiction(e.delay_in_use).partition(": ")  # without the cure
+    yield from dict.fromkeys(r for r in e.setup if r and not r.startswith(delay_problem))
 
 
 def wrong_delay(e: Evidence) -> Iterator[str]:
@@ -274,7 +274,7 @@ def many_drops(e: Evidence) -> Iterator[str]:
         dropped = sum(refusals.dropped.values())
         if dropped > DROPPED_SHARE * refusals.received:
             of = f"{dropped} of {refusals.received} messages of the {stream}"
-            yield f"{of} were dropped: {refusals.words}"
+            yield f"{of} were dropped: {refusals.text}"
 
 
 def assumed_airspeed(e: Evidence) -> Iterator[str]:

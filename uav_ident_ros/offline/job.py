@@ -182,15 +182,15 @@ def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[
             noted = run.identifier.plausibility.noted.values()
             warnings += [f"implausible: {found.text}" for found in noted]
             if not run.estimates:
-                raise BagError(f"bag '{job.bag}': no tick came due: {_why_nothing(run)}")
+                raise BagError(f"bag '{job.bag}': no tick came due: {_no_tick_reason(run)}")
         except REFUSALS:
             warnings += bag.damage  # a possible cause
             raise
         return run, tuple(notes_on(bag, run))
 
 
-def _why_nothing(run: OfflineRun) -> str:
+def _no_tick_reason(run: OfflineRun) -> str:
     rates, topic = run.refusals("rates"), run.inputs.streams["rates"]
     if not rates.dropped:
         return f"'{topic}' has {rates.received} messages, too few for one tick"
-    return f"of {rates.received} messages on '{topic}' were dropped: {rates.words}"
+    return f"of {rates.received} messages on '{topic}' were dropped: {rates.text}"

@@ -44,24 +44,24 @@ def replay_all(
     """Run jobs in parallel, outcomes in their order; raises `BagError` without the scheduler."""
     outcomes: dict[Path, Outcome] = {}
     with Bar(total=len(jobs), unit=" replays") as shown:
-        for job, outcome in _there(jobs, scheduler) if scheduler else _here(jobs, workers):
+        for job, outcome in _remote(jobs, scheduler) if scheduler else _local(jobs, workers):
             lost = f"bag '{job.bag}': the process that read it was ended"
             outcomes[job.folder] = outcome or Outcome(job, NO_RESULT, (lost,))
             shown.update()
     return [outcomes[job.folder] for job in jobs]
 
 
-def _there(jobs: Sequence[Job], scheduler: str) -> Outcomes:
+def _remote(jobs: Sequence[Job], scheduler: str) -> Outcomes:
     """Run jobs on a cluster and yield their outcomes."""
     try:
         client = optional("distributed").Client(scheduler)
     except (OSError, ValueError) as error:
         raise BagError(f"no Dask scheduler answers at '{scheduler}': {error}") from None
     with client, client.get_executor(pure=False, retries=ATTEMPTS) as executor:
-        yield from _do(executor, jobs)
+        yield from _submit(executor, jobs)
 
 
-def _here(jobs: Sequence[Job], workers: int) -> Outcomes:
+def _local(jobs: Sequence[Job], workers: int) -> Outcomes:
     """Run jobs in processes of this machine and yield their outcomes.
 
     The end of one process breaks the pool. The remaining jobs run one by one, each in a pool of its
@@ -69,17 +69,17 @@ def _here(jobs: Sequence[Job], workers: int) -> Outcomes:
     """
     left: list[Job] = []
     with _pool(min(workers, len(jobs))) as executor:
-        for job, outcome in _do(executor, jobs):
+        for job, outcome in _submit(executor, jobs):
             if outcome is None:
                 left.append(job)
             else:
                 yield job, outcome
     for job in left:
         with _pool(1) as executor:
-            yield from _do(executor, [job])
+            yield from _submit(executor, [job])
 
 
-def _do(executor: Executor, jobs: Sequence[Job]) -> Outcomes:
+def _submit(executor: Executor, jobs: Sequence[Job]) -> Outcomes:
     # Ctrl-C must not reach the processes: this one ends them.
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -116,7 +116,7 @@ def work(job: Job) -> Outcome:
             identity = identity_of(job)
         except REFUSALS:
             return replay(job)  # its outcome has the problem
-        outcome = None if job.again else _recalled(job, identity)
+        outcome = None if job.again else _earlier_outcome(job, identity)
         if outcome is None:
             write_file(done, "")  # invalid until the new results are written
             outcome = replace(replay(job), identity=identity)
@@ -132,7 +132,7 @@ def work(job: Job) -> Outcome:
         return Outcome(job, NO_RESULT, (f"bag '{job.bag}': {last}",))
 
 
-def _recalled(job: Job, identity: str) -> Outcome | None:
+def _earlier_outcome(job: Job, identity: str) -> Outcome | None:
     """Return the earlier outcome of a job; None if there is none of this identity."""
     try:
         entry = json.loads((job.folder / DONE_FILE).read_text(encoding="utf-8"))

@@ -96,7 +96,7 @@ class Refusals:
     dropped: dict[str, int]  # Messages dropped, for each reason
 
     @property
-    def words(self) -> str:
+    def text(self) -> str:
         """Counts of dropped messages with their reasons."""
         return ", ".join(f"{count} {reason}" for reason, count in self.dropped.items())
 
