@@ -112,10 +112,8 @@ class RateController:
         response, choice = self._response, self._choice
         if not response.update(x, choice.measured_by, inputs, dt, choice.model, delayed_reference):
             return
-        believed = self.effect.share
-        if self.delay.update(
-            response.answered, response.made * believed, response.acceleration, dt
-        ):
+        share = self.effect.share
+        if self.delay.update(response.answered, response.made * share, response.acceleration, dt):
             for axis in range(len(x)):
                 self.effectiveness.changed(axis)
             choice.discard_measured()
@@ -125,7 +123,7 @@ class RateController:
             response.made[delay],
             dt,
             response.demanded,
-            believed,
+            share,
             None if rival is None else (response.answered[rival], response.made[rival]),
         )
 

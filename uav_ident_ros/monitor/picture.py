@@ -30,7 +30,7 @@ GAP = 1
 """Characters between two columns."""
 
 AXES = 3
-"""Columns that should fit side by side."""
+"""Number of columns side by side, if the terminal is wide enough."""
 
 SPARKS = 10
 """Characters of the line of past values, where the terminal is wide enough for it."""
@@ -89,7 +89,7 @@ class View:
             return
         with self._console.capture() as block:  # rich itself would exit on a closed pipe
             self._console.print(shown)
-        print(block.get(), flush=True)  # blocks are an empty line apart
+        print(block.get(), flush=True)  # an empty line ends a block
 
     def close(self) -> None:
         """Leave the terminal as it was."""

@@ -5,7 +5,7 @@ topics in:   imu/data, actuators, excitation; airspeed and armed if their type i
 topics out:  ~/coefficients_named, ~/coefficients, ~/predicted_rates, ~/prediction_error,
              ~/excitation, /diagnostics
 services:    ~/reset, ~/save, ~/adapt, ~/excite
-exit status: 0, it was asked to end; 2, it was started wrongly, and one line says how
+exit status: 0, ended by a signal; 2, not started, with the reason in one line
 """
 
 import sys
@@ -14,7 +14,7 @@ from uav_ident_ros.node.ending import Ending
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node; the return value is the exit status: 2 if it was started wrongly."""
+    """Run the node; the return value is the exit status: 2 after a wrong start."""
     ending = Ending()  # before the imports, which take a second
     from uav_ident_ros.identification.settings import declarations
     from uav_ident_ros.node.identifier_node import IdentifierNode, work

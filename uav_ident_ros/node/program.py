@@ -98,7 +98,7 @@ def run(
     usage: str,  # Text of ``--help``
     ending: Ending | None = None,  # Handler of signals, if made before the imports
 ) -> int:
-    """Run a node as a program; return its exit status: 2 if it was started wrongly."""
+    """Run a node as a program; return its exit status: 2 after a wrong start."""
     argv, ending = sys.argv if args is None else args, ending or Ending()
     if {"-h", "--help"} & set(argv[1:]):
         print(usage)

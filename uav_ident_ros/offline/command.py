@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`replay` from its options to the exit status: one bag, many, or many configurations of one."""
+"""The command `replay`: one bag, many bags, or many configurations of one bag."""
 
 import argparse
 import os
