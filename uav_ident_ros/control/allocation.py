@@ -16,7 +16,7 @@ AXES, MAINS = MAIN_DERIVATIVES[0], MAIN_DERIVATIVES[1] - INPUT_COLUMNS.start
 def allocate(
     effect: FloatArray,  # (3, 4) Control derivatives, rad/s^2 per unit of each input
     wanted: FloatArray,  # (3,) Angular acceleration that the inputs must produce, rad/s^2
-    # (2, 4) Lower and upper limit of each input, around 0; equal for an input that is not used
+    # (2, 4) Lower and upper limit of each input, 0 between; equal for an input that is not used
     limits: FloatArray,
     scale: FloatArray,  # (3,) Unit of the acceleration of each axis, rad/s^2; see `authority`
 ) -> FloatArray:

@@ -8,8 +8,8 @@ The measured jerk is compared with the jerk that the axis's own input should pro
 g = 1 is the assumed effect, 0 a lost one, -1 a reversed one. Feedback correlates the inputs with
 the rest, gusts and gyro noise, which biases least squares. The instrument is the jerk that the
 reference demands, which no gust moves: g = sum(demanded answered) / sum(demanded made). Its sigma
-follows from the autocovariance of the rest. The largest of three estimates counts: while something
-was demanded, over the window, and over the time before. A single manoeuvre fits itself too well.
+follows from the autocovariance of the rest. The largest of three estimates counts: weighted by the
+demand, over the time of the sums, and before it. A single manoeuvre fits itself too well.
 
 Measurements before a change must not count after it. One set of sums therefore runs over the last
 two seconds and detects a change; another runs from the change on and measures its size.
@@ -101,7 +101,7 @@ class Effectiveness:
         # Fading sum of the rest, and its mean power, (rad/s^3)^2 s
         self._recent_rest, self._rest = np.zeros(3), np.zeros(3)
         # Integrals (`SHAPES`), with the power of the rest in the last row: now, at the evaluations
-        # of the window (a ring buffer), and at the begin of the last change
+        # of the window (a ring buffer), and at the start of the last change
         self._total = np.zeros((PLACES[-1] + 1, 3))
         self._past, self._oldest = np.zeros((EVALUATIONS, *self._total.shape)), 0
         self._start = np.zeros_like(self._total)
@@ -109,7 +109,7 @@ class Effectiveness:
         self._age = self._since_evaluation = 0.0
         # g of roll, pitch, yaw over the window, and its standard deviation, (3,)
         self.factor, self.sigma = np.ones(3), np.full(3, UNKNOWN)
-        # The same since the begin of the last change
+        # The same since the start of the last change
         self.since, self.since_sigma = np.ones(3), np.full(3, UNKNOWN)
         # The same over the window by least squares, for any cause of the inputs' motion
         self.moved, self.moved_sigma = np.ones(3), np.full(3, UNKNOWN)
@@ -131,7 +131,7 @@ class Effectiveness:
         self.dead[axis] = False
 
     def begin(self, axes: BoolArray) -> None:
-        """Restart the sums since the change at the begin of the window, for some axes, (3,)."""
+        """Set the start of the last change to that of the window, for some axes, (3,)."""
         self._start[:, axes] = self._past[self._oldest][:, axes]
         self.since[axes], self.since_sigma[axes] = self.factor[axes], self.sigma[axes]
 

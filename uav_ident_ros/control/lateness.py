@@ -26,7 +26,7 @@ LATEST = 0.08
 """Largest delay beyond the configured one, s: half a period at 40 rad/s, beyond all laws."""
 
 SOONEST = 0.02
-"""Shortest delay of the bank below the configured one, s: gyro noise looks like no delay."""
+"""Shortest delay of the bank below the configured one, s: gyro noise imitates shorter ones."""
 
 MEMORY = 5.0
 """Time constant of forgetting, s. A delay seldom changes in flight, but a wrong one must be found

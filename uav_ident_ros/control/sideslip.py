@@ -29,8 +29,8 @@ LARGEST_BANK = math.pi / 4.0
 not used."""
 
 FORESIGHT = 3.0
-"""Time over which the bank is predicted, s: a sideslip needs it to stop a roll. With one or two
-seconds a small aircraft with a jammed aileron is upset before."""
+"""Time over which the bank is predicted, s: the time in which a sideslip stops a roll. With one or
+two seconds a small aircraft with a jammed aileron is upset first."""
 
 
 def rolls_over(

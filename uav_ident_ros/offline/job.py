@@ -104,7 +104,7 @@ class Outcome:
 
     job: Job
     status: int  # `USABLE`, `NOT_USABLE` or `NO_RESULT`
-    warnings: tuple[str, ...] = ()  # Problems of the input; the last is why there is no result
+    warnings: tuple[str, ...] = ()  # Problems of the input; without a result the last is the reason
     # Content of summary.json; empty if there is none
     summary: Mapping[str, Any] = field(default_factory=dict)
     identity: str = ""  # Hashes of bag and settings (`parallel.identity_of`); empty if unknown
