@@ -216,18 +216,18 @@ class AxisChoice:
         self._agreed_ns = np.where(away & certain, self._agreed_ns, t_ns)
         # without flow angles in the model, their effect would be attributed to the inputs
         can = certain & self.model.structure.has_flow
-        surely = can & (t_ns - self._agreed_ns > CORRELATION * 1e9)
+        significant = can & (t_ns - self._agreed_ns > CORRELATION * 1e9)
         # after a significant change, the measurement with the smallest sigma is used
         faded = self._sigma * (1.0 + np.maximum(t_ns - self._measured_ns, 0) * 1e-9 / FADING)
-        surer = can & ~surely & self._rescaled & (measured.since_sigma <= faded)
-        measured.begin(surely)
-        found = np.where(rings, rows, np.where(surely, found, measured.since * nominal))
+        refined = can & ~significant & self._rescaled & (measured.since_sigma <= faded)
+        measured.begin(significant)
+        found = np.where(rings, rows, np.where(significant, found, measured.since * nominal))
         least, most = np.multiply.outer(MEASURED_RANGE, np.abs(rows))
         least = np.minimum(least, MEASURED_RANGE[0] * size)
         found = np.sign(rows) * np.clip(np.sign(rows) * found, least, most)
-        taken = surely | surer
+        taken = significant | refined
         self._main = np.where(taken, found, self._main)
-        sigma = np.where(surely, measured.sigma, measured.since_sigma)
+        sigma = np.where(significant, measured.sigma, measured.since_sigma)
         self._sigma = np.where(taken, sigma, self._sigma)
         self._measured_ns = np.where(taken, t_ns, self._measured_ns)
 

@@ -157,8 +157,8 @@ class Effectiveness:
         parts = dt * sample[:, ::2], products, dt * demanded**2, np.full(3, dt)
         self._total[:-1] += np.vstack([part.reshape(-1, 3) for part in parts])
         self._age += dt
-        surely = np.abs(self.factor - believed) > OUTLIER * self.sigma
-        rest = answered - np.where(surely, self.factor, believed) * made
+        significant = np.abs(self.factor - believed) > OUTLIER * self.sigma
+        rest = answered - np.where(significant, self.factor, believed) * made
         self._recent_rest = keep * self._recent_rest + rest
         power = dt * rest * (2.0 * self._recent_rest - rest)
         self._rest += dt / min(self._age, REST_MEMORY) * (power - self._rest)

@@ -242,8 +242,8 @@ def _inputs(watched: WatchedNode) -> Iterator[RenderableType]:
         start = f"{stream}: dropped: "
         reasons = [f"{k.removeprefix(start)} {n}" for k, n in values.items() if k.startswith(start)]
         if reasons:
-            words = f"dropped: {', '.join(reasons)}"
-            yield Padding(Text(words, "yellow", no_wrap=True), (0, 0, 0, 10))
+            line = f"dropped: {', '.join(reasons)}"
+            yield Padding(Text(line, "yellow", no_wrap=True), (0, 0, 0, 10))
 
 
 def _mode(mode: Mode, glyphs: Glyphs) -> str:

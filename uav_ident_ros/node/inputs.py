@@ -48,11 +48,11 @@ class Input:
         try:
             return deserialize_message(data, self.kind)
         except (RuntimeError, UnicodeDecodeError) as error:
-            words = f"it cannot be decoded ({without_sources(str(error))})"
-            raise ChannelError(words, "not decodable") from None
+            problem = f"it cannot be decoded ({without_sources(str(error))})"
+            raise ChannelError(problem, "not decodable") from None
 
-    def _warn(self, reason: str, words: str) -> None:
-        self._warnings.notice((self.topic, reason), f"'{self.topic}': message dropped: {words}")
+    def _warn(self, reason: str, problem: str) -> None:
+        self._warnings.notice((self.topic, reason), f"'{self.topic}': message dropped: {problem}")
 
     def _log_offset(self, seconds: float) -> None:
         self._log.info(

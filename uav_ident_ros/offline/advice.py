@@ -118,10 +118,10 @@ def gated(e: Evidence) -> Iterator[str]:
 
 def weak_excitation(e: Evidence) -> Iterator[str]:
     """Yield the surfaces that moved too little to identify their main derivatives."""
-    words = AXIS_INPUT_WORDS if e.settings.actuators.multirotor else INPUT_WORDS
+    names = AXIS_INPUT_WORDS if e.settings.actuators.multirotor else INPUT_WORDS
     needed = e.settings.supervision.min_t_ratio
     for name, derivative in MAIN_DERIVATIVES.items():
-        word, ratio = words[name], e.t_ratio(derivative, setup=False)
+        word, ratio = names[name], e.t_ratio(derivative, setup=False)
         if e.input_spread[INPUTS.index(name)] < STILL:
             yield f"the {word} never moved: its effect is unknown; move it"
         elif ratio is not None and ratio < needed:
@@ -174,7 +174,7 @@ def wrong_lag(e: Evidence) -> Iterator[str]:
     if e.delay.lag_off(in_use):
         delay = max(e.delay.total - e.delay.lag, 0.0)
         yield (
-            f"what was injected shows a servo lag of {1e3 * e.delay.lag:.0f} ms (sigma "
+            f"the injected signal shows a servo lag of {1e3 * e.delay.lag:.0f} ms (sigma "
             f"{1e3 * e.delay.lag_sigma:.0f} ms), {1e3 * in_use:.0f} ms are in use: set "
             f"'actuators.time_constant' to {e.delay.lag:.3f} and 'actuators.delay' to {delay:.3f}, "
             "or 'actuators.estimate_delay' to true"

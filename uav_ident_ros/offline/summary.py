@@ -53,7 +53,7 @@ def _other_sensors(bag: Bag, run: OfflineRun) -> Iterator[str]:
             )
         elif stream.name not in taken:
             for topic in others:
-                if stream.topic in topic:  # types as common as these are no evidence
+                if stream.topic in topic:  # only the name is evidence of such common types
                     yield f"{topic} was not read: --topic {stream.topic}:={topic} reads it"
 
 

@@ -52,8 +52,8 @@ def messages_table(summary: Mapping[str, Any]) -> Table:
     rows = []
     for stream, entry in summary["inputs"].items():
         dropped = ", ".join(f"{count} {why}" for why, count in entry["dropped"].items())
-        words = [Words(entry["topic"]), Words(entry["type"])]
-        rows.append(Row(stream, [*words, Number(entry["received"], "d"), Words(dropped or "none")]))
+        cells = [Words(entry["topic"]), Words(entry["type"])]
+        rows.append(Row(stream, [*cells, Number(entry["received"], "d"), Words(dropped or "none")]))
     head = ("stream", Words("topic"), Words("type"), "received", Words("dropped"))
     return Table("Messages", head, rows)
 
