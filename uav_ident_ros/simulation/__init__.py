@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated flights with known truth, to make bags, tests and benchmarks from."""
+"""Simulated flights with known truth, for bags, tests and benchmarks."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSBSim aircraft in trimmed flight: surfaces in, signals out, and their true derivatives.
+"""JSBSim aircraft in trimmed flight: surfaces in, signals out; and their true derivatives.
 
 JSBSim (LGPL, ``pip install jsbsim``) is a development extra: it is imported when an aircraft
-is made. One step of JSBSim moves the state first and evaluates controls, forces and
-accelerations after, so that what is read after a step belongs to one instant.
+is made. A step of JSBSim first integrates the state, then evaluates controls, forces and
+accelerations. All values read after a step therefore belong to one instant.
 """
 
 import contextlib
@@ -31,14 +31,14 @@ FULL_TRIM = 1
 """JSBSim's trim in all six degrees of freedom."""
 
 TRIM_GUESS = (0.05, 0.0, 0.0, 0.0, 0.5)
-"""Angle of attack, elevator, rudder, aileron (rad) and throttle to start a trim from."""
+"""Initial guess of a trim: angle of attack, elevator, rudder, aileron (rad) and throttle."""
 
 TRIM_STEP, TRIM_TOLERANCE, TRIM_ITERATIONS = 1e-4, 1e-6, 20
-"""Perturbation of these; largest acceleration left, ft/s^2 and rad/s^2; steps of Newton's method,
-which needs five."""
+"""Perturbation of these; largest remaining acceleration, ft/s^2 and rad/s^2; most steps of Newton's
+method, which needs five."""
 
 UNBALANCES = ("udot-ft_sec2", "wdot-ft_sec2", "pdot-rad_sec2", "qdot-rad_sec2", "rdot-rad_sec2")
-"""Accelerations that a trim removes."""
+"""Accelerations that are zero in trim."""
 
 SURFACES = (
     "fcs/elevator-pos-rad",
@@ -50,18 +50,18 @@ COMMANDS = ("fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/aileron-cmd-nor
 _TRIMS = ("fcs/pitch-trim-cmd-norm", "fcs/yaw-trim-cmd-norm", "fcs/roll-trim-cmd-norm")
 
 OUTPUT = re.compile(r"<output\s[^>]*/>|<output\s[^>]*[^/]>.*?</output>", re.DOTALL)
-"""Files that some aircraft write of themselves, in whatever folder they are flown. (The outputs of
-their flight controls have no attributes.)"""
+"""Output files that some aircraft models declare; JSBSim writes them into the current folder. The
+outputs of their flight controls have no attributes."""
 
 SETTLING_TIME = 20.0
-"""Time on the autopilot before others fly an aircraft, s."""
+"""Time on the autopilot before a controller takes over, s."""
 
 AUTOPILOT_RATE = 100.0
-"""Rate of that autopilot, Hz."""
+"""Rate of the autopilot, Hz."""
 
 COMMAND_POINTS = np.linspace(-1.0, 1.0, 81)
-"""Commands between which a surface's travel is linear: about its centre it may have a corner, and
-some stop short of the full command (the A4's rudder at 0.35 of it)."""
+"""Commands at which surface deflections are tabulated, linear in between. A deflection may have a
+kink at the centre or saturate before full command (the A4's rudder at 0.35 of it)."""
 
 SIGNALS = {
     "p": "velocities/p-rad_sec",
@@ -70,7 +70,7 @@ SIGNALS = {
     "pdot": "accelerations/pdot-rad_sec2",
     "qdot": "accelerations/qdot-rad_sec2",
     "rdot": "accelerations/rdot-rad_sec2",
-    # all forces but the weight: over the mass, the specific force at the centre of gravity
+    # all forces except the weight; divided by the mass: specific force at the centre of gravity
     "fx": "forces/fbx-total-lbs",
     "fy": "forces/fby-total-lbs",
     "fz": "forces/fbz-total-lbs",
@@ -83,22 +83,23 @@ SIGNALS = {
     "altitude": "position/h-sl-ft",
     **dict(zip(("elevator", "rudder", "aileron", "throttle"), SURFACES, strict=True)),
 }
-"""What is read after every step."""
+"""Properties read after every step, by the name of the signal."""
 
 Signals = Mapping[str, float]
 """`SIGNALS` by name, SI."""
 
 BALLAST = """<pointmass name="ballast"><weight unit="LBS">0</weight><location unit="IN">
 <x>0</x><y>0</y><z>0</z></location></pointmass>"""
-"""Empty point mass, for `uav_ident_ros.simulation.faults`: JSBSim makes none in flight."""
+"""Empty point mass, for `uav_ident_ros.simulation.faults`: JSBSim cannot add one in flight."""
 
 BALLASTS = 5
-"""Two for an inertia in roll, two in pitch, one for the centre of gravity."""
+"""Number of point masses: two for roll inertia, two for pitch inertia, one for the centre of
+gravity."""
 
 
 def _load(name: str, rate: float) -> Any:
-    """Return a quiet JSBSim executive with the aircraft loaded."""
-    os.environ.setdefault("JSBSIM_DEBUG", "0")  # or it prints a banner on stdout
+    """Return a JSBSim executive with the aircraft loaded and without console output."""
+    os.environ.setdefault("JSBSIM_DEBUG", "0")  # otherwise JSBSim prints a banner on stdout
     try:
         jsbsim = importlib.import_module("jsbsim")
     except ImportError:
@@ -127,7 +128,7 @@ def _load(name: str, rate: float) -> Any:
 
 @contextlib.contextmanager
 def _explained(name: str) -> Iterator[None]:
-    """Turn what JSBSim raises into a sentence: its exceptions have no public base class."""
+    """Turn any exception of JSBSim into a `SimulationError`: they have no public base class."""
     try:
         yield
     except Exception as error:
@@ -135,7 +136,7 @@ def _explained(name: str) -> Iterator[None]:
 
 
 def _surface_ranges(name: str, rate: float) -> FloatArray:
-    """Elevator, rudder and aileron at `COMMAND_POINTS`, shape (3, 81), rad."""
+    """Return elevator, rudder and aileron at `COMMAND_POINTS`, shape (3, 81), rad."""
     fdm = _load(name, rate)
     with _explained(name):
         fdm.run_ic()
@@ -149,20 +150,20 @@ def _surface_ranges(name: str, rate: float) -> FloatArray:
 
 
 class Aircraft:
-    """JSBSim aircraft in trimmed flight: takes surfaces, gives signals."""
+    """JSBSim aircraft, initially in trimmed flight: surfaces in, signals out."""
 
     def __init__(
         self,
         name: str,  # As in `airframe`
         rate: float,  # Rate of the simulation, Hz
-        speed: float | None = None,  # True airspeed in place of its own, m/s
+        speed: float | None = None,  # True airspeed in place of the airframe's, m/s
     ) -> None:
-        self.airframe = airframe(name, speed)  # What it is
+        self.airframe = airframe(name, speed)  # Its description
         self.rate = rate  # Rate of the simulation, Hz
         self._ranges = _surface_ranges(self.airframe.model, rate)
-        # (2, 4) Least and largest elevator, rudder, aileron (rad) and throttle
+        # (2, 4) Limits of elevator, rudder, aileron (rad) and throttle: lower, upper
         self.limits = np.column_stack([self._ranges[:, [0, -1]].T, (0.0, 1.0)])
-        self.fdm = _load(self.airframe.model, rate)  # JSBSim itself, for what has no method here
+        self.fdm = _load(self.airframe.model, rate)  # JSBSim's executive, for direct access
         nodes = self.fdm.get_property_manager()
         self._read = {name: nodes.get_node(path) for name, path in SIGNALS.items()}
         self._mass = nodes.get_node("inertia/mass-slugs")
@@ -183,19 +184,19 @@ class Aircraft:
         fdm["gear/gear-cmd-norm"] = 0.0
         fdm["gear/gear-pos-norm"] = 0.0
         fdm.run_ic()
-        fdm["propulsion/fuel_freeze"] = 1  # mass and inertia stay what they are
+        fdm["propulsion/fuel_freeze"] = 1  # constant mass and inertia
         trimmed = False
-        if self._engines:  # it knows no other thrust
+        if self._engines:  # JSBSim's trim needs an engine
             with contextlib.suppress(Exception):  # jsbsim.TrimFailureError has no public base class
                 fdm.do_trim(FULL_TRIM)
                 trimmed = True
         if not trimmed:
             self._solve_trim()
         for name in _TRIMS:
-            fdm[name] = 0.0  # the surfaces take over what the trim tabs held
+            fdm[name] = 0.0  # the surfaces replace the trim tabs
 
     def _solve_trim(self) -> None:
-        """Trim by Newton's method, where JSBSim's own trim fails."""
+        """Trim by Newton's method if JSBSim's own trim fails."""
         x = np.array(TRIM_GUESS)
         for _ in range(TRIM_ITERATIONS):
             rest = self._unbalance(x)
@@ -213,14 +214,14 @@ class Aircraft:
         self,
         x: FloatArray,  # (5,) Angle of attack, elevator, rudder, aileron, rad; throttle
     ) -> FloatArray:
-        """Accelerations in level flight, shape (5,)."""
+        """Return the `UNBALANCES` in level flight, shape (5,)."""
         self.fdm["ic/alpha-rad"] = self.fdm["ic/theta-rad"] = float(x[0])
         self.set_surfaces(self.clip(x[1:]))
         self.fdm.run_ic()
         return np.array([self.fdm[f"accelerations/{name}"] for name in UNBALANCES])
 
     def set_surfaces(self, surfaces: FloatArray) -> None:
-        """Command elevator, rudder, aileron (rad) and throttle from now on."""
+        """Set the command of elevator, rudder, aileron (rad) and throttle."""
         self.surfaces = surfaces
         for i, node in enumerate(self._command):
             node.set_double_value(float(np.interp(surfaces[i], self._ranges[i], COMMAND_POINTS)))
@@ -228,7 +229,7 @@ class Aircraft:
             node.set_double_value(float(surfaces[3]))
 
     def stop_engine(self) -> None:
-        """Let an engine fail: the last of several, the only one, or the motor without a name."""
+        """Make an engine fail: the last of several, the only one, or the unnamed motor."""
         if self._engines:
             self.fdm[f"propulsion/engine[{self._engines - 1}]/set-running"] = 0
             self.fdm["propulsion/active_engine"] = self._engines - 1
@@ -237,11 +238,11 @@ class Aircraft:
             self._throttle.pop().set_double_value(0.0)
 
     def clip(self, surfaces: FloatArray) -> FloatArray:
-        """Limit surfaces to what the aircraft can do."""
+        """Return the surfaces limited to the aircraft's range."""
         return np.clip(surfaces, *self.limits)
 
     def step(self) -> Signals:
-        """Move on by one step; return the signals."""
+        """Simulate one step; return the signals."""
         self.fdm.run()
         signals = {name: node.get_double_value() for name, node in self._read.items()}
         for name in ("airspeed", "altitude"):
@@ -253,14 +254,14 @@ class Aircraft:
 
 
 class Autopilot:
-    """Attitude, altitude and speed hold; low gains, so that the excitation comes through."""
+    """Attitude, altitude and speed hold, with low gains that do not cancel the excitation."""
 
     def __init__(self, aircraft: Aircraft, signals: Signals, rate: float) -> None:
         self.airframe, self.trim, self.rate = aircraft.airframe, aircraft.surfaces, rate
         self.pitch, self.altitude = signals["pitch"], signals["altitude"]
 
     def surfaces(self, signals: Signals, bank: float = 0.0) -> FloatArray:
-        """Elevator, rudder, aileron, throttle from the signals, at `rate` Hz."""
+        """Return elevator, rudder, aileron, throttle for the signals; call it at `rate` Hz."""
         a, gains = self.airframe, self.airframe.autopilot
         before, self.altitude = self.altitude, signals["altitude"]
         climb = (self.altitude - before) * self.rate
@@ -278,21 +279,21 @@ class Autopilot:
 
 
 def settle(aircraft: Aircraft, rate: float = AUTOPILOT_RATE) -> tuple[Autopilot, Signals]:
-    """Fly a trimmed aircraft on the autopilot, at `rate` Hz, until nothing moves any more.
+    """Fly a trimmed aircraft on the autopilot, at `rate` Hz, until the flight is steady.
 
-    Returns what flies it and the signals at the end; the surfaces are ``aircraft.surfaces``.
+    Returns the autopilot and the final signals; the surfaces are ``aircraft.surfaces``.
     """
     signals = aircraft.step()
     autopilot, every = Autopilot(aircraft, signals, rate), round(aircraft.rate / rate)
     for _ in range(round(SETTLING_TIME * rate)):
         aircraft.set_surfaces(aircraft.clip(autopilot.surfaces(signals)))
-        for _ in range(every - 1):  # nobody looks at these
+        for _ in range(every - 1):  # between two commands
             aircraft.fdm.run()
         signals = aircraft.step()
     return autopilot, signals
 
 
-# --- true derivatives where it flies --------------------------------------------------------------
+# --- true derivatives at a flight condition -------------------------------------------------------
 
 
 STATES = {
@@ -302,21 +303,20 @@ STATES = {
     "beta": "ic/beta-rad",
     "alpha": "ic/alpha-rad",
 }
-"""States of the linear model, rad/s and rad, and the properties that set them."""
+"""States of the linear model, rad/s and rad, with the properties that set them."""
 
 ROWS = ("pdot", "qdot", "rdot", "ay", "az", "betadot", "alphadot")
-"""What is differentiated: rad/s^2, m/s^2 (specific force at the centre of gravity), rad/s."""
+"""Rows of the linear model: rad/s^2, m/s^2 (specific force at the centre of gravity), rad/s."""
 
 STEP = 1e-3
-"""Perturbation of a state (rad/s, rad) or an input (rad, throttle 0..1). JSBSim's tables are
-piecewise linear over a degree and more, its numbers are doubles: so it is neither too long nor
-too short."""
+"""Perturbation of a state (rad/s, rad) or an input (rad, throttle 0..1): well below a degree, over
+which JSBSim's tables are linear, and well above the rounding of doubles."""
 
 SIMULATION_RATE = 200.0
-"""Rate at which an aircraft settles at its cruise point, Hz: at 1 kHz it is the same one."""
+"""Simulation rate for settling at the cruise condition, Hz; 1 kHz gives the same condition."""
 
 LEAST_DERIVATIVE = 0.01
-"""Derivatives up to this size are left out of `cruise_derivatives`; in the units of `ROWS`."""
+"""Smallest derivative that `cruise_derivatives` contains, in the units of `ROWS`."""
 
 _KEPT = {
     "ic/h-sl-ft": "position/h-sl-ft",
@@ -330,22 +330,22 @@ _KEPT = {
     "ic/q-rad_sec": "velocities/q-rad_sec",
     "ic/r-rad_sec": "velocities/r-rad_sec",
 }
-"""Properties that make an initial condition of a flight's state, in the order of writing."""
+"""Properties of an initial condition and the signals that set them, in the order of writing."""
 
 
 @dataclass(frozen=True)
 class Linearisation:
     """Derivatives of an aircraft about a flight condition."""
 
-    # By name, ``pdot/da`` and so on: of `ROWS` by `STATES` at a fixed attitude, airspeed and
-    # surfaces, and by the inputs at fixed states; ``betadot/p`` without the model's own p alpha
+    # By name such as ``pdot/da``: of `ROWS` by `STATES` at fixed attitude, airspeed and surfaces,
+    # and by the inputs at fixed states; ``betadot/p`` excludes the model's own term p alpha
     derivatives: dict[str, float]
     airspeed: float  # True, m/s
 
 
 def linearise_cruise(
     name: str,  # As in `uav_ident_ros.simulation.airframe`
-    speed: float | None = None,  # True airspeed in place of its own, m/s
+    speed: float | None = None,  # True airspeed in place of the airframe's, m/s
 ) -> Linearisation:
     """Linearise an aircraft in steady, calm flight."""
     aircraft = Aircraft(name, SIMULATION_RATE, speed)
@@ -355,10 +355,10 @@ def linearise_cruise(
 
 @lru_cache
 def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float]:
-    """Return the derivatives of `linearise_cruise`, by name, for people and files to read.
+    """Return the derivatives of `linearise_cruise` by name, to four figures.
 
-    Four figures; without those by the throttle, which an engine follows late, and without those
-    that are next to nothing.
+    Derivatives with respect to throttle are omitted, because an engine follows it slowly; so are
+    derivatives below `LEAST_DERIVATIVE`.
     """
     found = linearise_cruise(name, speed).derivatives
     return {
@@ -369,15 +369,14 @@ def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float
 
 
 def linearise(aircraft: Aircraft) -> Linearisation:
-    """Differentiate an aircraft where it is, with the surfaces and the mass that it has.
+    """Linearise an aircraft about its present state, surfaces and mass.
 
-    Nothing is fitted: central differences of its accelerations. JSBSim is put into the state it is
-    in, a little to one side and to the other, with the surfaces it has, and says what the
-    accelerations are there. Engine speed, fuel and mass stay; the throttle's derivatives are those
-    at the speed that the engine has, not a second later.
+    The derivatives are central differences of JSBSim's accelerations, each about the present state
+    and surfaces. Engine speed, fuel and mass are constant; derivatives with respect to throttle
+    therefore exclude the engine's spool-up.
 
-    Best in steady, calm flight. Afterwards the aircraft is in the same state as before, at
-    latitude and longitude zero.
+    Steady, calm flight gives the best result. The state is restored afterwards, at latitude and
+    longitude zero.
     """
     fdm, surfaces = aircraft.fdm, aircraft.surfaces
     state = {name: float(fdm[now]) for name, now in _KEPT.items()}
@@ -404,7 +403,7 @@ def linearise(aircraft: Aircraft) -> Linearisation:
         for k, row in enumerate(ROWS)
         for name, column in columns.items()
     }
-    # The model's own term p alpha counts alpha from where az vanishes; the rest is the coefficient.
+    # In the model's own term p alpha, alpha is zero where az is; the remainder is the coefficient.
     derivatives["betadot/p"] -= base["fz"] / derivatives["az/alpha"]
     return Linearisation(derivatives, base["airspeed"])
 
@@ -415,8 +414,8 @@ def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> Signals:
     for name, value in state.items():
         fdm[name] = value
     fdm.run_ic()
-    fdm.suspend_integration()  # no time passes
-    # once for the flow angles' rates, which JSBSim's moments may use, and once with them
+    fdm.suspend_integration()  # hold the time
+    # the first evaluation yields the rates of the flow angles, which the moments of the second use
     aircraft.step()
     signals = aircraft.step()
     fdm.resume_integration()

@@ -2,13 +2,13 @@
 """Aircraft as data: one YAML file each, in `airframes/`.
 
     description: four-seat propeller aircraft, 853 kg
-    model: c172p               # JSBSim's name, of the wheel or of airframes/jsbsim
+    model: c172p               # JSBSim model, from the wheel or airframes/jsbsim
     speed: 53.34               # true airspeed, m/s
     altitude: 914.4            # above sea level, m
     autopilot: {roll_gain: 0.1, pitch_gain: 0.15}
     excitation: {de: 0.08, dr: 0.18, da: 0.1, dth: 0.1}
 
-Another aircraft is another file; its path is as good as a name.
+Further aircraft are further files. A path is accepted in place of a name.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from uav_ident_ros.simulation.flight import SimulationError
 
 FOLDER = Path(__file__).parent / "airframes"
 MODELS = FOLDER / "jsbsim"
-"""JSBSim models that come with this package."""
+"""Folder of the JSBSim models in this package."""
 
 SUFFIX = ".yaml"
 
@@ -48,21 +48,21 @@ class Gains:
 
 @dataclass(frozen=True)
 class Airframe:
-    """A JSBSim aircraft and how it is flown here."""
+    """A JSBSim aircraft with its flight condition, autopilot and excitation."""
 
     name: str  # Name of its file, without the ending
-    description: str  # What it is
-    model: str  # JSBSim's name of it
+    description: str  # Kind of aircraft, for people
+    model: str  # Name of the JSBSim model
     speed: float  # True airspeed, m/s
     altitude: float  # Above sea level, m
-    autopilot: Gains  # For that speed
-    # Peaks of the multisines that identify it, by input: rad, throttle 0..1
+    autopilot: Gains  # Tuned for that speed
+    # Peaks of the multisines for identification, by input: rad, throttle 0..1
     excitation: Mapping[str, float] = field(default_factory=dict)
 
     def at_speed(self, speed: float) -> Airframe:
-        """Return the same at another true airspeed, m/s.
+        """Return the airframe at another true airspeed, m/s.
 
-        Surfaces act with its square: the gains and the excitation are scaled by as much.
+        Surface effectiveness grows with its square: their gains and peaks are scaled inversely.
         """
         if not 0.0 < speed < math.inf:
             raise SimulationError(f"speed is {speed}: it must be positive, m/s")
@@ -75,13 +75,13 @@ class Airframe:
 
 
 def airframe_names() -> tuple[str, ...]:
-    """Names of the aircraft that come with this package."""
+    """Return the names of the aircraft in this package."""
     return tuple(sorted((path.stem for path in FOLDER.glob(f"*{SUFFIX}")), key=str.lower))
 
 
 def airframe(
     name: str,  # One of `airframe_names`, or a path that ends in ``.yaml``
-    speed: float | None = None,  # True airspeed in place of its own, m/s
+    speed: float | None = None,  # True airspeed in place of the file's, m/s
 ) -> Airframe:
     """Return an aircraft by name, or by the path of its file."""
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
@@ -122,8 +122,8 @@ def _read(path: Path) -> Airframe:
 def build(
     cls: Any,  # The dataclass
     values: Any,  # Its fields by name; lists become tuples
-    where: str,  # What they belong to, for messages
-    # Fields that are dataclasses themselves, or sequences of them, with what one is called
+    where: str,  # The file or entry with these values, for messages
+    # Fields that are dataclasses, or sequences of them: the class and the noun for messages
     nested: Mapping[str, tuple[Any, str]] | None = None,
 ) -> Any:
     """Build a dataclass from a mapping."""

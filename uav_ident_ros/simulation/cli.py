@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`simulate`: fly a plant of the paper's structure, or a JSBSim aircraft, into a bag."""
+"""`simulate`: record the flight of a plant of the paper's structure or a JSBSim aircraft."""
 
 import argparse
 import math
@@ -27,10 +27,10 @@ START = 2.0
 """Time before the excitation begins, s."""
 
 PLANT_AMPLITUDES = (0.08, 0.12, 0.06, 0.2)
-"""Default peaks of de, dr, da (rad), dth; an aircraft has its own."""
+"""Default excitation peaks of de, dr, da (rad), dth of a plant; an aircraft has its own."""
 
 FORCE_NOISE = ColouredNoise(0.3, 0.5)
-"""Variation of a plant's specific force, which its structure does not determine, m/s^2 and s."""
+"""Noise of a plant's specific force, m/s^2 and s; the plant's structure does not determine it."""
 
 _DESCRIPTION = """\
 Fly a simulated aircraft and write an MCAP bag with /imu/data (sensor_msgs/Imu) and /actuators
@@ -49,7 +49,7 @@ examples:
 
 
 Option = tuple[str, Any, str, str]
-"""An option of one number: the field that it sets, default, unit, meaning."""
+"""A numeric option: the field that it sets, default, unit, meaning."""
 
 FLIGHT_OPTIONS: dict[str, Option] = {
     "--duration": ("duration", 90.0, "S", "length of the excited flight, s"),
@@ -128,7 +128,7 @@ def _add_numbers(group: argparse._ArgumentGroup, options: Mapping[str, Option]) 
 
 
 def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
-    """Return the flight that the options ask for, and what measures it."""
+    """Return the flight of the options, and the sensors that measure it."""
     kind: type[Plan]
     if options.jsbsim:
         kind, peaks = AircraftFlight, airframe(options.jsbsim, options.speed).excitation
@@ -148,7 +148,7 @@ def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:
     plan = kind(
         (Segment(options.input, START, excited, peaks),),
         options.duration + options.quiet,
-        # the same flight for every Imu rate that divides it
+        # every Imu rate that divides the default rate then measures the same flight
         SIMULATION_RATE if SIMULATION_RATE % options.rate == 0.0 else options.rate,
         actuator_rate=options.actuator_rate,
         delay=options.delay,
@@ -185,7 +185,7 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
+    """Run the command; the return value is the exit status."""
     parser = make_parser()
     options = parser.parse_args(arguments)
     _check(parser, options)

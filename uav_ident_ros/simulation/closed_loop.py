@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The closed loop as processes, without launch: plant, identifier, controller, rate reference.
 
-``scripts/closed_loop --fault '60: aileron effect 0.5'`` flies one flight and says how well the
-reference was followed, also if the aircraft was lost. An aircraft that was not flown before is
-trimmed, excited and identified first, which takes some ten seconds.
+``scripts/closed_loop --fault '60: aileron effect 0.5'`` flies one flight and prints the tracking
+error, also if the aircraft was lost. A new aircraft is first trimmed, excited and identified, which
+takes some ten seconds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from uav_ident_ros.simulation.preparation import CONFIG, prepare, write
 
 ROOT = CONFIG.parents[1]
 PREPARED = ROOT / "build" / "aircraft"
-"""Where aircraft that were identified for the loop are kept, each speed in a folder."""
+"""Folder of the aircraft identified for the loop, with a folder for each speed."""
 
 MODULES = {
     "identifier": "uav_ident_ros.node",
@@ -40,13 +40,13 @@ MODULES = {
     "rate_reference": "uav_ident_ros.simulation.rate_reference",
     "simulated_plant": "uav_ident_ros.simulation.plant_node",
 }
-"""The processes and what they run."""
+"""Modules of the processes, by name."""
 
 BEFORE = 30.0
-"""Longest stretch before the fault that is judged, s."""
+"""Longest evaluated time before the fault, s."""
 
 AFTER = (0.0, 5.0, 10.0, 20.0, math.inf)
-"""Edges of the stretches after it, s."""
+"""Limits of the evaluated intervals after the fault, s."""
 
 
 @dataclass(frozen=True)
@@ -56,19 +56,19 @@ class Loop:
     duration: float = 120.0  # s
     faults: tuple[str, ...] = ()  # As in `uav_ident_ros.simulation.faults`, with times
     mode: str = "adaptive"  # Of the controller: ``adaptive`` or ``fixed``
-    # Whether the controller follows ``verdict/usable``, or each coefficient's sigma alone
+    # Whether ``verdict/usable`` decides on the use of coefficients; else their sigmas alone
     use_verdict: bool = True
     cold: bool = False  # Whether the identifier starts without initial coefficients
-    excite: float = 0.0  # When excitation is asked for, s; 0 for never
+    excite: float = 0.0  # Time of the request for excitation, s; 0 for none
     seed: int = 0  # Seed of noise, gusts and manoeuvres
-    lock_step: bool = True  # In step, or in real time
-    # Parameters of all nodes; ``NAME_coefficients.yaml`` is beside it
+    lock_step: bool = True  # In lock-step, or in real time
+    # Parameter file of all nodes; ``NAME_coefficients.yaml`` is beside it
     file: Path = CONFIG / "c172p.yaml"
     # More parameters, by process: ``{"simulated_plant": {"rate": "200.0"}}``
     parameters: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
     def parameters_of(self, process: str, record: Path) -> dict[str, object]:
-        """Parameters of one of `MODULES` that are not in its file; the plant writes `record`."""
+        """Return a process's parameters beyond those of the file; the plant writes `record`."""
         coefficients = self.file.with_name(f"{self.file.stem}_coefficients.yaml")
         own: dict[str, dict[str, object]] = {
             "identifier": {
@@ -95,12 +95,12 @@ class Loop:
 
 
 class ClosedLoop:
-    """The running processes; a context manager that ends them."""
+    """The running processes, as a context manager that ends them."""
 
     def __init__(
         self,
-        loop: Loop,  # What to fly
-        folder: Path,  # For the logs, the record and what the nodes keep: each flight starts afresh
+        loop: Loop,  # The flight
+        folder: Path,  # For logs, record and state files; each flight starts without earlier state
     ) -> None:
         self.loop, self.folder = loop, folder
         self.record_file = folder / "flight.npz"
@@ -119,7 +119,7 @@ class ClosedLoop:
             process.end()
 
     def start(self, name: str) -> None:
-        """Start one of `MODULES`, or start it again."""
+        """Start or restart one of `MODULES`."""
         self.processes[name] = NodeProcess(
             MODULES[name],
             self.folder / f"{name}.log",
@@ -129,11 +129,11 @@ class ClosedLoop:
         )
 
     def log(self, name: str) -> str:
-        """Everything that a process has printed so far."""
+        """Return the output of a process up to now."""
         return self.processes[name].log
 
     def wait(self, timeout: float) -> dict[str, FloatArray]:
-        """Wait until the plant has landed, or the aircraft is lost; return its record."""
+        """Wait until the plant has ended or the aircraft is lost; return its record."""
         end = time.monotonic() + timeout
         plant = self.processes["simulated_plant"]
         while plant.poll() is None:
@@ -155,14 +155,14 @@ def _last_line(text: str) -> str:
 
 
 def tracking_error(record: Mapping[str, FloatArray], start: float, end: float) -> FloatArray:
-    """Rms of true rates minus reference from `start` to `end` (s), shape (3,), deg/s."""
+    """Return the rms of true rates minus reference, `start` to `end` (s), shape (3,), deg/s."""
     inside = (record["time"] >= start) & (record["time"] < end)
     error = (record["rates"] - record["reference"])[inside]
     return np.asarray(np.degrees(np.sqrt(np.nanmean(error**2, axis=0))))
 
 
 def report(record: Mapping[str, FloatArray], fault_time: float) -> Iterator[str]:
-    """Lines that say how well a flight followed its reference."""
+    """Yield the lines of the report on a flight's tracking error."""
     yield "rms of true rates minus reference, deg/s        p      q      r"
     duration = float(record["time"][-1])
     edges = [min(BEFORE, 0.5 * fault_time), *(min(fault_time + t, duration) for t in AFTER)]
@@ -179,9 +179,9 @@ def report(record: Mapping[str, FloatArray], fault_time: float) -> Iterator[str]
 
 def prepared_file(
     aircraft: str,  # Its name, or the path of its file
-    speed: float | None,  # True airspeed in place of its own, m/s
+    speed: float | None,  # True airspeed in place of the file's, m/s
 ) -> Path:
-    """Return an aircraft's `Loop.file`; one without is trimmed, excited and identified first."""
+    """Return an aircraft's `Loop.file`; trim, excite and identify it first if there is none."""
     if aircraft in shipped() and speed is None:
         return CONFIG / f"{aircraft}.yaml"
     frame = airframe(aircraft, speed)
@@ -193,7 +193,7 @@ def prepared_file(
 
 
 def shipped() -> list[str]:
-    """Return the names of the aircraft whose files come with this package."""
+    """Return the names of the aircraft with a `Loop.file` in this package."""
     end = "_coefficients"
     return sorted(path.stem.removesuffix(end) for path in CONFIG.glob(f"*{end}.yaml"))
 
@@ -213,10 +213,10 @@ def make_parser() -> argparse.ArgumentParser:
     add("--mode", choices=("adaptive", "fixed"), default="adaptive")
     add("--law", choices=tuple(LAWS), default="incremental")
     add("--ignore-verdict", action="store_true",
-        help="act on the newest coefficients, each as far as its sigma allows")  # fmt: skip
+        help="use the newest coefficients, each as far as its sigma allows")  # fmt: skip
     add("--cold", action="store_true", help="no initial coefficients")
     add("--excite", type=float, default=0.0, metavar="S",
-        help="ask for excitation at S, s (docs/excitation.md)")  # fmt: skip
+        help="request excitation at S, s (docs/excitation.md)")  # fmt: skip
     add("--seed", type=int, default=0)
     add("--real-time", action="store_true", help="with the wall clock, not in step")
     add("--output", type=Path, help="folder for the logs and the record")
@@ -224,7 +224,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def loop_from(options: argparse.Namespace) -> Loop:
-    """Return the flight that the options ask for; the aircraft is identified if need be."""
+    """Return the flight of the options; identify the aircraft first if needed."""
     check_positive(options, "duration")
     if options.seed < 0:
         raise SimulationError(f"seed is {options.seed}: it must be 0 or more")
@@ -241,7 +241,7 @@ def loop_from(options: argparse.Namespace) -> Loop:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly one flight; the return value is the exit status: 1 if the aircraft was lost."""
+    """Fly one flight; return the exit status, 1 if the aircraft was lost."""
     options = make_parser().parse_args(arguments)
     try:
         loop = loop_from(options)

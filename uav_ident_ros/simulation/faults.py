@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong with an aircraft in the loop, as short commands.
+"""Faults of an aircraft in the loop, as short commands.
 
-    aileron effect 0.5     half of its effect about trim; 0 is a surface lost, -1 reversed
-    motor_front_left effect 0.7    the same of a quadrotor's motor, of its whole thrust
-    elevator jams          stands still where it is
-    rudder jams -0.05      stands still at that deflection from trim, rad
-    pitch inertia 1.3      ballast fore and aft (roll: on the wings), by that factor
+    aileron effect 0.5     half of its effect about trim; 0 is a lost surface, -1 a reversed one
+    motor_front_left effect 0.7    factor on the whole thrust of a quadrotor's motor
+    elevator jams          the surface stays at its position
+    rudder jams -0.05      the surface stays at that deflection from trim, rad
+    pitch inertia 1.3      ballast fore and aft (roll: on the wings) for this factor of the inertia
     cg aft 0.1             centre of gravity moves aft by that share of the mean chord
-    engine out             the last of several engines, or the only one
-    turbulence 4           JSBSim's, 0 (calm) to 7
-    repaired               every surface as it was; ballast and weather stay
+    engine out             the last of several engines, or the only one, fails
+    turbulence 4           JSBSim's severity, 0 (calm) to 7
+    repaired               all surfaces are intact again; ballast and weather stay
 
-With a time in front, ``90.0: aileron effect 0.5``, it happens then.
+A time in front, ``90.0: aileron effect 0.5``, delays the fault until then.
 """
 
 import math
@@ -40,23 +40,23 @@ TURBULENCE_TUSTIN = 4
 """JSBSim's MIL-F-8785C turbulence, discretised by Tustin's rule."""
 
 MAX_TURBULENCE = 7
-"""Highest probability-of-exceedance index of JSBSim's turbulence."""
+"""Largest probability-of-exceedance index of JSBSim's turbulence."""
 
 WIND_AT_20_FEET = 25.0
-"""Low-altitude wind of the turbulence model, ft/s; it matters below 2000 ft only."""
+"""Low-altitude wind of the turbulence model, ft/s; it has an effect below 2000 ft only."""
 
 BALLAST_AXES = {"roll": ("Y", "inertia/ixx-slugs_ft2"), "pitch": ("X", "inertia/iyy-slugs_ft2")}
-"""Where the ballast goes and the inertia that it raises."""
+"""Axis along which the ballast is placed, and the inertia that it raises."""
 
 BALLAST_ARM = 3.3 / FOOT
-"""Distance of each ballast from the centre of gravity, ft: near nose and tail of a light
-aircraft, so that its mass hardly changes."""
+"""Distance of each ballast from the centre of gravity, ft: near nose and tail of a light aircraft,
+where little mass is needed."""
 
 INERTIA_TOLERANCE = 0.005
-"""Largest misfit of what is read back, relative."""
+"""Largest relative error of the inertia or position that JSBSim then reports."""
 
 CENTRE_BALLAST = 0.05
-"""Mass that moves the centre of gravity, over the aircraft's."""
+"""Mass that moves the centre of gravity, relative to the aircraft's."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class Fault:
     """One fault."""
 
     kind: str  # ``effect``, ``jams``, ``inertia``, ``turbulence`` or ``repaired``
-    what: str = ""  # Surface or axis; empty if it needs none
+    what: str = ""  # Surface or axis; empty for kinds without one
     value: float | None = None  # Factor, deflection or severity
-    time: float = -math.inf  # When, s after the first sample; -inf for at once
+    time: float = -math.inf  # Time, s after the first sample; -inf for at once
 
     def __str__(self) -> str:
         value = "" if self.value is None else f"{self.value:g}"
@@ -74,7 +74,7 @@ class Fault:
 
 
 def parse_fault(text: str) -> Fault:
-    """Read a command, with or without a time."""
+    """Return the fault of a command, with or without a time."""
     before, colon, command = text.rpartition(":")
     words = command.split()
     try:
@@ -113,8 +113,8 @@ def _within(text: str, low: float, high: float) -> float:
 def add_ballast(fdm: Any, axis: str, factor: float) -> None:
     """Multiply an inertia by `factor`, with equal masses on both sides of the centre of gravity.
 
-    JSBSim computes the inertias itself and silently ignores a write to them; so empty point
-    masses are loaded, and what they did is read back.
+    JSBSim computes the inertias and silently ignores a write to them. Loaded point masses change
+    them instead, and the result is read back.
     """
     direction, name = BALLAST_AXES[axis]
     wanted = factor * fdm[name]
@@ -152,11 +152,11 @@ def _load(fdm: Any, direction: str, offsets: Sequence[float], weight: float) -> 
             there = offset * INCHES_PER_FOOT if letter == direction else 0.0
             fdm[place] = fdm[f"inertia/cg-{letter.lower()}-in"] + there
         fdm[f"inertia/pointmass-weight-lbs[{index}]"] = weight
-    fdm.run()  # the masses count from the next step on
+    fdm.run()  # the masses take effect with the next step
 
 
 def start_turbulence(fdm: Any, severity: int, seed: int) -> None:
-    """Let the air become turbulent, 1 to `MAX_TURBULENCE`; 0 leaves it as it is."""
+    """Set turbulence of severity 1 to `MAX_TURBULENCE`; 0 changes nothing."""
     if severity:
         fdm["simulation/randomseed"] = seed
         fdm["atmosphere/randomseed"] = seed

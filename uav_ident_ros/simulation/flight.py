@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated flight: what happened, before any sensor saw it."""
+"""Noise-free record of a simulated flight."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from uav_ident_ros.simulation.channels import PLAIN, ChannelSet
 
 
 class SimulationError(ValueError):
-    """A flight cannot be simulated as asked; the message names what, why, and what would be right.
+    """Refusal or failure of a simulation; the message names the cause and the cure.
 
-    Whatever reads, prepares, flies or measures something here may raise it.
+    Every module of this package may raise it.
     """
 
 
@@ -28,16 +28,16 @@ EPOCH_NS = 1_700_000_000 * 10**9
 
 
 STEP_TOLERANCE = 1e-6
-"""Largest distance of a time from the simulation's grid, in steps."""
+"""Largest distance of a time from the simulation's time grid, in steps."""
 
 
 def stamps(seconds: FloatArray) -> IntArray:
-    """Stamps, ns, of times after the first sample of a flight, s."""
+    """Return the stamps, ns, of times after the first sample of a flight, s."""
     return EPOCH_NS + np.asarray(np.rint(seconds * 1e9), dtype=np.int64)
 
 
 def whole_steps(time: float, rate: float, what: str) -> int:
-    """Return how many simulation steps a time (s) has, at a rate (Hz); `what` names it."""
+    """Return the number of steps in a time (s) at a rate (Hz); `what` names it in messages."""
     steps = time * rate
     if not (steps >= 0.0 and abs(steps - round(steps)) < STEP_TOLERANCE * max(1.0, steps)):
         raise SimulationError(f"{what} is no whole number of simulation steps of {1e3 / rate:g} ms")
@@ -45,7 +45,7 @@ def whole_steps(time: float, rate: float, what: str) -> int:
 
 
 def check_positive(spec: object, *names: str) -> None:
-    """Refuse a flight of which some of the fields named are no positive numbers."""
+    """Raise SimulationError unless all the named fields are positive numbers."""
     for name in names:
         if not 0.0 < getattr(spec, name) < math.inf:
             raise SimulationError(f"{name} is {getattr(spec, name)}: it must be positive")
@@ -53,10 +53,10 @@ def check_positive(spec: object, *names: str) -> None:
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """Coefficients that are multiplied from some time on."""
+    """Change of coefficients by factors at a time."""
 
-    time: float  # When, in s after the first sample
-    # Coefficient name, ``pdot/da`` and so on, to factor
+    time: float  # Time of the change, s after the first sample
+    # Factor by coefficient name, such as ``pdot/da``
     factors: dict[str, float] = field(default_factory=dict)
 
 
@@ -67,28 +67,28 @@ class Flight:
     name: str  # Name of the flight or vehicle
     t_ns: IntArray  # (N,) Times of the samples below, ns
     rates: FloatArray  # (N, 3) p, q, r, rad/s
-    # (N, 3) Their derivatives, rad/s^2; where an input switches, just after
+    # (N, 3) Their derivatives, rad/s^2; right-hand limit where an input switches
     angular_acceleration: FloatArray
     specific_force: FloatArray  # (N, 3) Specific force at the centre of gravity, m/s^2
     # (M,) Times at which the actuator values below were commanded, ns. Each is held until the next
     # and acts `delay` later.
     actuator_t_ns: IntArray
     inputs: FloatArray  # (M, 4) Commands as deviations from trim, de, dr, da (rad), dth
-    injected: FloatArray  # (M, 4) Excitation, as a part of these: the rest is the autopilot's
-    trim: FloatArray  # (4,) What is added to `inputs` on the channels
-    channel_set: ChannelSet = PLAIN  # What the raw actuator channels are
+    injected: FloatArray  # (M, 4) Excitation within `inputs`; the rest is the autopilot's
+    trim: FloatArray  # (4,) Trim of the inputs: the channels carry `inputs` plus trim
+    channel_set: ChannelSet = PLAIN  # Kind of the raw actuator channels
     delay: float = 0.0  # Transport delay from command to surface, s
     time_constant: float = 0.0  # First-order lag of the servos, s
-    structure: str = ""  # Structure of `coefficients`; empty if the aircraft is of none
-    # (3, n) True coefficient matrix at the start, or None if there is none
+    structure: str = ""  # Structure of `coefficients`; empty for a nonlinear aircraft
+    # (3, n) True coefficient matrix at the start; None for a nonlinear aircraft
     coefficients: FloatArray | None = None
-    changes: tuple[CoefficientChange, ...] = ()  # How it changes in flight
-    # Known local derivatives of an aircraft that has no exact structure, by name
+    changes: tuple[CoefficientChange, ...] = ()  # Its changes in flight
+    # True local derivatives of a nonlinear aircraft, by name
     local_truth: dict[str, float] = field(default_factory=dict)
-    # (start, end) When the inputs were excited, s after the first sample
+    # (start, end) Intervals of excitation, s after the first sample
     excitation: tuple[tuple[float, float], ...] = ()
     airspeed: FloatArray | None = None  # (N,) True airspeed, m/s
-    # Parameters of the identifier that suit the aircraft, by name
+    # Parameters of the identifier for this aircraft, by name
     parameters: dict[str, Any] = field(default_factory=dict)
     # More true signals of length N, such as ``alpha`` and ``beta`` (rad) and the surfaces
     extra: dict[str, Any] = field(default_factory=dict)
@@ -105,25 +105,25 @@ class Flight:
 
     @property
     def time(self) -> FloatArray:
-        """Times of the samples from the first one on, s."""
+        """Times of the samples since the first one, s."""
         return np.asarray((self.t_ns - self.t_ns[0]) * 1e-9)
 
     def channels(self) -> FloatArray:
-        """Raw actuator channels, shape (M, C)."""
+        """Return the raw actuator channels, shape (M, C)."""
         return self.channel_set.raw(self.inputs, self.trim)
 
     @property
     def channel_trim(self) -> FloatArray:
-        """Raw channels in trimmed flight, shape (C,)."""
+        """Return the raw channels in trimmed flight, shape (C,)."""
         return self.channel_set.trim(self.trim)
 
     def force_at(
         self,
-        # (3,) Position of the point from the centre of gravity, FRD, m. The rotation adds ``wdot x
-        # r + w x (w x r)``
+        # (3,) Position r of the point from the centre of gravity, FRD, m. The rotation adds
+        # ``wdot x r + w x (w x r)``
         lever_arm: FloatArray | tuple[float, float, float],
     ) -> FloatArray:
-        """Specific force at a point fixed to the body, shape (N, 3), m/s^2."""
+        """Return the specific force at a body-fixed point, shape (N, 3), m/s^2."""
         arm = np.asarray(lever_arm, dtype=np.float64)
         swing = np.cross(self.rates, np.cross(self.rates, arm))
         turn = np.cross(self.angular_acceleration, arm)
@@ -138,7 +138,7 @@ class Flight:
 def changed_coefficients(
     structure: str, coefficients: FloatArray, changes: tuple[CoefficientChange, ...], time: float
 ) -> FloatArray:
-    """Coefficients after all changes up to `time` (s), shape (3, n)."""
+    """Return the coefficients after all changes up to `time` (s), shape (3, n)."""
     a = np.array(coefficients, dtype=np.float64)
     for change in changes:
         if change.time <= time:

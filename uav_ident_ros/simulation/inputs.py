@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives a simulated flight: excitation, stretch by stretch, and gusts as coloured noise."""
+"""Inputs of a simulated flight: excitation in segments, and gusts as coloured noise."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,12 +30,12 @@ class ColouredNoise:
     def sample(
         self, count: int, channels: int, rate: float, rng: np.random.Generator
     ) -> FloatArray:
-        """Stationary sample path, shape (count, channels), at `rate` Hz."""
+        """Return a stationary sample path, shape (count, channels), at `rate` Hz."""
         if self.rms == 0.0:
             return np.zeros((count, channels))
         decay = float(np.exp(-1.0 / (rate * self.correlation_time)))
         white = rng.standard_normal((count, channels))
-        white[0] /= np.sqrt(1.0 - decay**2)  # starts in the stationary distribution
+        white[0] /= np.sqrt(1.0 - decay**2)  # start in the stationary distribution
         paths = [
             list(accumulate(column, lambda x, w: decay * x + w)) for column in white.T.tolist()
         ]
@@ -50,19 +50,18 @@ INPUT_KINDS = ("multisine", "3211", "doublet", "quiet")
 """Kinds of excitation by name."""
 
 PAUSE = 2.0
-"""Quiet time after each input's pulses, s; then the next input has its turn, and after the last
-one the first again."""
+"""Quiet time after the pulses of each input, s. The inputs take turns, cyclically."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One stretch of excitation."""
+    """One interval of excitation."""
 
     kind: str  # ``multisine``, ``3211``, ``doublet`` or ``quiet``
-    # start, duration: When it begins and how long it lasts, s. Outside of it the inputs are zero.
+    # start, duration: Start and length, s. Outside of the segment the inputs are zero.
     start: float = 0.0
     duration: float = math.inf
-    # Peak per input (``de dr da dth``), rad, throttle 0..1; inputs left out stay at zero
+    # Peak by input (``de dr da dth``), rad, throttle 0..1; inputs without a peak stay at zero
     amplitudes: Mapping[str, float] = field(default_factory=dict)
     period: float = 20.0  # Period of the multisines, s
     band: tuple[float, float] = (0.1, 2.0)  # Low, high: band of the multisines, Hz
@@ -88,7 +87,7 @@ class Segment:
     def sample(self, t: FloatArray) -> FloatArray:
         """Return the inputs de, dr, da, dth at times t (s), shape (len(t), 4)."""
         u = np.zeros((len(t), len(INPUTS)))
-        # A hair of tolerance, so that 0.1 + 0.2 is not left out of a segment from 0.3.
+        # Tolerance for rounding: 0.1 + 0.2 belongs to a segment that starts at 0.3.
         inside = (t >= self.start - 1e-9) & (t < self.start + self.duration - 1e-9)
         peaks = np.array([self.amplitudes.get(name, 0.0) for name in INPUTS])
         active = np.flatnonzero(peaks)
@@ -98,7 +97,7 @@ class Segment:
         return u
 
     def _shapes(self, t: FloatArray, count: int) -> FloatArray:
-        """Return the inputs' shapes over time (s) from the start, within -1 ... 1."""
+        """Return the normalised inputs, within -1 ... 1, at times (s) since the start."""
         if self.kind == "quiet":
             return np.zeros((len(t), count))
         if self.kind == "multisine":
@@ -110,14 +109,14 @@ class Segment:
 
 
 def sample_inputs(segments: Sequence[Segment], t: FloatArray) -> FloatArray:
-    """Sum of all segments at times t (s): inputs de, dr, da, dth, shape (len(t), 4)."""
+    """Return the sum of all segments at times t (s): de, dr, da, dth, shape (len(t), 4)."""
     return sum((segment.sample(t) for segment in segments), np.zeros((len(t), len(INPUTS))))
 
 
 def excited_intervals(
     segments: Sequence[Segment], duration: float
 ) -> tuple[tuple[float, float], ...]:
-    """(start, end) of every segment that excites something, s."""
+    """Return (start, end), s, of every segment with a nonzero input."""
     return tuple(
         (s.start, min(duration, s.start + s.duration))
         for s in segments

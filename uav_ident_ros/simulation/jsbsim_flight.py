@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSBSim aircraft in flight: nonlinear aircraft that nobody here modelled."""
+"""Flights of JSBSim's nonlinear aircraft."""
 
 import math
 from collections.abc import Sequence
@@ -23,20 +23,20 @@ from uav_ident_ros.simulation.live import SIMULATION_RATE, Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
 
 SPEED_GAIN = 0.05
-"""Throttle per m/s of speed error: slow, and strong enough for climbs of a few degrees."""
+"""Throttle per m/s of speed error: slow, but sufficient for climbs of a few degrees."""
 
 BANK_TIME = 20.0
-"""Time of each turn of a banked flight, s, rolled into over `ROLL_TIME`."""
+"""Time of each turn of a banked flight, s, its `ROLL_TIME` included."""
 
 ROLL_TIME = 4.0
 """Time in which the reference of the bank angle changes, s."""
 
 MAX_BANK = 60.0
-"""Largest bank angle that the autopilot is asked for, deg."""
+"""Largest reference of the bank angle, deg."""
 
 
 class LiveAircraft(Live):
-    """A JSBSim aircraft in flight; of a step its signals are kept."""
+    """A JSBSim aircraft in flight; a recorded row has the signals of the step."""
 
     names = SURFACE_NAMES
 
@@ -47,9 +47,9 @@ class LiveAircraft(Live):
         delay: float = 0.0,
         faults: Sequence[Fault] = (),
         seed: int = 0,
-        speed: float | None = None,  # True airspeed in place of the aircraft's own, m/s
+        speed: float | None = None,  # True airspeed in place of the airframe's, m/s
         rate: float = SIMULATION_RATE,
-        time_constant: float = 0.0,  # First-order lag of the surfaces, not of the throttle, s
+        time_constant: float = 0.0,  # First-order lag of the surfaces without the throttle, s
     ) -> None:
         super().__init__(sensors, delay, seed, rate, faults)
         self.aircraft = Aircraft(name, rate, speed)  # JSBSim's aircraft
@@ -62,7 +62,7 @@ class LiveAircraft(Live):
         self._keep = keep * np.array([1.0, 1.0, 1.0, 0.0])
 
     def apply(self, fault: Fault) -> None:
-        """Let a fault happen now; see `Live.apply`."""
+        """Apply a fault now; see `Live.apply`."""
         if fault.what in QUADROTOR.names:
             raise SimulationError(f"fault '{fault}': this aircraft has surfaces")
         index = SURFACE_NAMES.index(fault.what) if fault.what in SURFACE_NAMES else 0
@@ -122,8 +122,8 @@ class AircraftFlight(Plan):
     aircraft: str  # Its name, or the path of its file: see `uav_ident_ros.simulation.airframe`
     bank: float = 0.0  # Bank angle of alternating turns, deg; 0 for level flight
     turbulence: int = 0  # JSBSim's MIL-F-8785C severity, 0 (calm) to 7
-    faults: Sequence[Fault] = ()  # Those that come at a time of their own
-    speed: float | None = None  # True airspeed, m/s; None for the aircraft's own
+    faults: Sequence[Fault] = ()  # With their times
+    speed: float | None = None  # True airspeed, m/s; None for the airframe's
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -135,7 +135,7 @@ class AircraftFlight(Plan):
             raise SimulationError(f"bank is {self.bank} deg: at most {MAX_BANK:g} is flown")
 
     def _bank_reference(self, t: float) -> float:
-        """Bank angle of alternating turns, rad: right, left, right, ..."""
+        """Return the bank angle at a time, rad: alternating turns, the first to the right."""
         if self.bank == 0.0 or t < 0.0:
             return 0.0
         turn, into = divmod(t, BANK_TIME)
@@ -169,7 +169,7 @@ class AircraftFlight(Plan):
             specific_force=rows[:, 6:9],
             inputs=commands - live.trim,
             trim=np.array(live.trim),
-            # Who excites at trim throttle slows down: a percent of airspeed is two of an aileron.
+            # Excitation at trim throttle slows the aircraft: 1 % of airspeed is 2 % of pdot/da.
             local_truth=cruise_derivatives(self.aircraft, round(float(airspeed.mean()), 1)),
             airspeed=airspeed,
             extra=extra,

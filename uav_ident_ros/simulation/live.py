@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop over time of every simulated vehicle: commands in, signals out.
+"""The time loop of every simulated vehicle: commands in, signals out.
 
-Who flies it is up to others: a controller answers Imu samples one at a time (`Live.sample`,
-`Live.command`, `Live.advance`), or a whole flight is recorded as a `Plan` says.
+Either a controller commands the vehicle sample by sample (`Live.sample`, `Live.command`,
+`Live.advance`), or a whole flight is recorded by a `Plan`.
 """
 
 import math
@@ -33,33 +33,33 @@ LARGEST_UPSET = math.radians(85.0)
 """Roll or pitch angle at which the flight counts as lost, rad."""
 
 RANDOM_STREAM = 200
-"""First of the random streams of a vehicle in the loop: none that a recorded flight uses."""
+"""First random stream of a vehicle in the loop; recorded flights use lower numbers."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What happened and what the Imu measured of it; aircraft axes (FRD), SI units."""
+    """True and measured signals at an Imu sample; aircraft axes (FRD), SI units."""
 
     time: float  # After the first sample, s
     rates: FloatArray  # (3,) True p, q, r, rad/s
     # measured_rates, measured_force: (3,) With bias and noise: rad/s, m/s^2
     measured_rates: FloatArray
     measured_force: FloatArray
-    # With bias and noise, m/s; None without a sensor, and where its slower rate has no sample
+    # With bias and noise, m/s; None without a sensor, and between the samples of its slower rate
     measured_airspeed: float | None
     attitude: FloatArray  # (3,) True roll, pitch, yaw, rad
-    surfaces: FloatArray  # (4,) Where elevator, rudder, aileron (rad) and throttle are
+    surfaces: FloatArray  # (4,) True elevator, rudder, aileron (rad) and throttle
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What defines every recorded flight; each kind of vehicle has fields of its own, too."""
+    """Definition of a recorded flight; each kind of vehicle adds fields."""
 
     segments: Sequence[Segment]  # Excitation, added to the autopilot's commands
     duration: float  # Length of the record, s
     rate: float = SIMULATION_RATE  # Rate of the noise-free samples, Hz
     actuator_rate: float = 100.0  # Rate of the commands, Hz; each is held until the next
-    delay: float = 0.0  # From recorded command to surface or motor, s
+    delay: float = 0.0  # Transport delay from recorded command to surface or motor, s
     seed: int = 0  # Seed of the disturbances
     time_constant: float = 0.0  # First-order lag of the surfaces or motors, s
 
@@ -82,28 +82,28 @@ class Plan:
         self,
         name: str = "",  # Name of the result; the vehicle's by default
     ) -> Flight:
-        """Fly it."""
+        """Simulate the flight and return its record."""
         raise NotImplementedError
 
 
 class Live:
-    """A vehicle in flight; what it is like is up to its kinds."""
+    """A vehicle in flight; the subclasses hold its dynamics."""
 
     names: tuple[str, ...]  # Names of the `outputs`
-    # (4,) Elevator, rudder, aileron (rad) and throttle of the steady flight that it starts in
+    # (4,) Elevator, rudder, aileron (rad) and throttle in the initial steady flight
     trim: FloatArray
-    # What the actuators were told last, within their limits. Of `command` the throttle is its own:
-    # it holds airspeed or height
+    # Last commands of the actuators, within their limits. With `command` the vehicle sets its own
+    # throttle, which holds airspeed or height
     outputs: FloatArray
     _acting: FloatArray
 
     def __init__(
         self,
         sensors: Sensors,  # Rate of the samples, noise and bias
-        delay: float,  # From a sample to the surface or motor that its command moves, s
+        delay: float,  # From a sample to the action of its command on the surface or motor, s
         seed: int,  # Seed of the noise
         rate: float = SIMULATION_RATE,  # Of the simulation, Hz
-        faults: Sequence[Fault] = (),  # Those that come at a time of their own
+        faults: Sequence[Fault] = (),  # With their times
     ) -> None:
         self._substeps = whole_steps(1.0 / sensors.rate, rate, f"rate {sensors.rate:g} Hz")
         self._delay = whole_steps(delay, rate, f"delay {delay:g} s")
@@ -114,17 +114,17 @@ class Live:
         self._underway: deque[tuple[int, FloatArray]] = deque()
 
     def apply(self, fault: Fault) -> None:
-        """Let a fault happen now, or refuse one that this vehicle cannot have."""
+        """Apply a fault now; raise SimulationError if the vehicle cannot have it."""
         raise NotImplementedError
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
-        """Return the outputs for elevator, rudder, aileron, rad; None: the last ones hold."""
+        """Return the outputs for elevator, rudder, aileron, rad; None holds the last ones."""
         raise NotImplementedError
 
     def _fly(self, acting: FloatArray, moved: bool) -> Any:
-        """Fly one step of the simulation; return what a recorded flight keeps of it.
+        """Simulate one step; return its row of a recorded flight.
 
-        `moved` says whether what acts, or what it does, may have changed.
+        `moved` is false if neither the acting outputs nor the faults have changed.
         """
         raise NotImplementedError
 
@@ -137,15 +137,15 @@ class Live:
         raise NotImplementedError
 
     def _airspeed(self) -> float | None:
-        """Return the true airspeed, m/s; None of what carries no pitot tube."""
+        """Return the true airspeed, m/s; None for a vehicle without a pitot tube."""
         return None
 
     def command(
         self,
-        # (3,) Elevator, rudder, aileron, rad; None where no answer came: the last one holds
+        # (3,) Elevator, rudder, aileron, rad; None, without a command, holds the last one
         surfaces: FloatArray | None,
     ) -> None:
-        """Answer the newest sample."""
+        """Set the command that answers the newest sample."""
         self._send(self._answer(surfaces))
 
     def _send(self, outputs: FloatArray) -> None:
@@ -171,9 +171,9 @@ class Live:
                 )
 
     def advance(self) -> list[Fault]:
-        """Fly on to the next sample; return the faults that came at their time."""
+        """Simulate up to the next sample; return the faults that were due."""
         ahead = list(self._ahead)
-        self._advance_step(moved=True)  # a fault at once may have moved them
+        self._advance_step(moved=True)  # an immediate fault may have moved the surfaces
         for _ in range(1, self._substeps):
             self._advance_step()
         self._check()
@@ -182,13 +182,13 @@ class Live:
     def record(
         self,
         plan: Plan,
-        # The outputs of an interval, within their limits, from its time (s) and excitation
+        # Returns the outputs of an interval, within their limits, for its time (s) and excitation
         commanded: Callable[[float, FloatArray], FloatArray],
     ) -> tuple[FloatArray, FloatArray, dict[str, Any]]:
-        """Fly on and keep everything.
+        """Fly a plan and record it.
 
-        Returns the rows of all samples, the outputs of all intervals, and what a `Flight` has of
-        any vehicle.
+        Returns the rows of all samples, the outputs of all intervals, and the fields of a `Flight`
+        common to all vehicles.
         """
         every = round(self.rate / plan.rate)
         count = (plan.samples - 1) * every + 1
@@ -226,7 +226,7 @@ class Live:
         return 1.0 / self._sensors.rate
 
     def sample(self) -> Sample:
-        """Measure it as it is; to be called once for each sample."""
+        """Return a measurement of the present state; call it once for each sample."""
         sensors, (rates, force, surfaces) = self._sensors, self._state()
         gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise[:2])
         return Sample(

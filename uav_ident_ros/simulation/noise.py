@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors make of a flight: noise, bias, jitter, drops, frames and stamps."""
+"""Sensor model of a simulated flight: noise, bias, jitter, drops, frames and stamps."""
 
 import heapq
 import math
@@ -20,17 +20,17 @@ from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError
 
 FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
-"""Half a turn about x: its own inverse."""
+"""Half a turn about x, which is its own inverse."""
 
 AIRSPEED_RATE = 10.0
 """Rate of a measured airspeed, Hz: about that of PX4 and MAVROS."""
 
 RATE_TOLERANCE = 1e-6
-"""Largest relative misfit of the Imu rate and a whole fraction of the flight's rate."""
+"""Largest relative error of the Imu rate as a whole fraction of the flight's rate."""
 
 
 def airspeed_step(rate: float) -> int:
-    """Return how many samples of a rate, Hz, lie between two of the airspeed."""
+    """Return the number of samples at a rate, Hz, in a period of the airspeed."""
     return max(1, round(rate / AIRSPEED_RATE))
 
 
@@ -43,16 +43,16 @@ class Sensors:
     # (3,) Constant error of the rates, rad/s, FRD
     gyro_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
     accelerometer_noise: float = 0.0  # White noise of each specific-force sample, rms, m/s^2
-    # White noise of each sample of the airspeed, rms, m/s; None: nothing measures it
+    # White noise of each sample of the airspeed, rms, m/s; None without a sensor
     airspeed_noise: float | None = None
     airspeed_bias: float = 0.0  # Its constant error, m/s
     # (3,) Position of the accelerometer from the centre of gravity, FRD, m
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    stamp_jitter: float = 0.0  # The Imu's stamps are off by a uniform error of at most this, s
-    drop: float = 0.0  # Fraction of Imu samples that are lost, at random
+    stamp_jitter: float = 0.0  # Largest error of the Imu's stamps, uniformly distributed, s
+    drop: float = 0.0  # Fraction of Imu samples that are dropped at random
     convention: str = "flu"  # ``flu`` or ``frd``: axes of the Imu message
-    # Log time minus true time of sampling, s; mean of a shifted exponential distribution whose
-    # least value is half of it
+    # Mean of log time minus true sampling time, s; a shifted exponential distribution that starts
+    # at half of the mean
     latency: float = 0.0
     # Whether actuator messages carry a stamp (JointState) or not (Float64MultiArray)
     stamped: bool = True
@@ -70,7 +70,7 @@ class Sensors:
 
     @cached_property
     def covariances(self) -> tuple[FloatArray, FloatArray]:
-        """Covariances of angular velocity and specific force, row by row, (9,) each."""
+        """Return the covariances of angular velocity and specific force by rows, (9,) each."""
         gyro, accelerometer = (
             np.diag([noise**2] * 3).ravel() for noise in (self.gyro_noise, self.accelerometer_noise)
         )
@@ -80,13 +80,13 @@ class Sensors:
 class Message(NamedTuple):
     """A sample on its way to an identifier."""
 
-    arrival_ns: int  # When it arrives, ns
-    stream: str  # What the identifier calls it
+    arrival_ns: int  # Time of arrival, ns
+    stream: str  # Name of the stream in the identifier
     t_ns: int  # Its stamp, ns
     values: tuple[float, ...]  # Rates and specific force; raw channels; the airspeed
 
     def give(self, identifier: OnlineIdentifier) -> None:
-        """Hand it over."""
+        """Add the sample to an identifier."""
         if self.stream == RATES:
             identifier.add_rates(self.t_ns, self.values[:3], self.values[3:] or None)
             return
@@ -97,7 +97,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Samples:
-    """What arrived of a flight, as plain arrays, each stream in the order of its arrival."""
+    """Received samples of a flight, as plain arrays, each stream in the order of arrival."""
 
     # imu_t_ns, imu_log_ns: (N,) Stamps and log times of the Imu messages, ns
     imu_t_ns: IntArray
@@ -105,8 +105,8 @@ class Samples:
     # rates, specific_force: (N, 3) In the Imu's axes, rad/s and m/s^2
     rates: FloatArray
     specific_force: FloatArray
-    # actuator_t_ns, actuator_log_ns: (M,) The same of the actuator messages, ns; what carries no
-    # stamp counts from its arrival
+    # actuator_t_ns, actuator_log_ns: (M,) The same of the actuator messages, ns; the arrival is
+    # the stamp of an unstamped message
     actuator_t_ns: IntArray
     actuator_log_ns: IntArray
     actuators: FloatArray  # (M, C) Raw channels
@@ -116,7 +116,7 @@ class Samples:
     airspeed: FloatArray
 
     def messages(self) -> Iterator[Message]:
-        """Yield all samples in the order of arrival: at equal times the command comes first."""
+        """Yield all samples in the order of arrival; at equal times the command is first."""
         inertial = np.hstack([self.rates, self.specific_force])
         columns = (
             (ACTUATORS, self.actuator_log_ns, self.actuator_t_ns, self.actuators),
@@ -131,7 +131,7 @@ class Samples:
 
 
 def fed(identifier: OnlineIdentifier, messages: Iterable[Message]) -> Iterator[Estimate]:
-    """Give an identifier messages; yield the estimate of each tick as soon as it is due."""
+    """Add messages to an identifier; yield the estimate of each tick as soon as it is due."""
     for message in messages:
         message.give(identifier)
         yield from identifier.advance()
@@ -139,11 +139,11 @@ def fed(identifier: OnlineIdentifier, messages: Iterable[Message]) -> Iterator[E
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measurements(Samples):
-    """Messages of a simulated flight; the axes of its Imu are of `sensors.convention`."""
+    """Messages of a simulated flight; `sensors.convention` gives the axes of the Imu."""
 
-    flight: Flight  # What really happened
-    sensors: Sensors  # What measured it
-    true_t_ns: IntArray  # (N,) When the Imu messages were really sampled, ns
+    flight: Flight  # The noise-free record
+    sensors: Sensors  # The sensors
+    true_t_ns: IntArray  # (N,) True sampling times of the Imu messages, ns
 
     @property
     def frame_id(self) -> str:
@@ -157,13 +157,13 @@ class Measurements(Samples):
 
 
 def measure(
-    flight: Flight,  # What really happened
+    flight: Flight,  # The noise-free record
     sensors: Sensors | None = None,  # The sensors; perfect ones at 200 Hz by default
-    # Seed of all randomness. Each error has a stream of its own, drawn at the flight's rate, so
-    # that switching one on or another Imu rate does not change the others
+    # Seed of all randomness. Each error has its own random stream, drawn at the flight's rate: a
+    # further error or another Imu rate does not change the others
     seed: int = 0,
 ) -> Measurements:
-    """Measure a flight."""
+    """Return the messages of a flight's sensors."""
     sensors = sensors or Sensors()
     every = _decimation(flight, sensors)
     gyro, accelerometer, drops, jitter, delays, pitot = (
@@ -216,7 +216,7 @@ def _decimation(flight: Flight, sensors: Sensors) -> int:
 
 
 def _log_times(t_ns: IntArray, latency: float, rng: np.random.Generator) -> IntArray:
-    """Arrival times: never out of order, as one topic of one publisher arrives."""
+    """Return arrival times, in order as on one topic of one publisher."""
     if latency == 0.0:
         return t_ns.copy()
     wait = 0.5 * latency * (1.0 + rng.exponential(1.0, len(t_ns)))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plants of the paper's structure, by name, and their flights: ``xdot = A f(x, u) + disturbance``.
 
-Runge-Kutta of fourth order on a grid that every switching of the inputs falls on, so that
-the held inputs, the delay and the servo lag are exact; the error per step is below 1e-11
-of the rates for modes up to 20 rad/s at the default step.
+Integration is Runge-Kutta of order 4. Every switching of an input falls on its grid: held inputs,
+delay and servo lag are exact. At the default step the error per step is below 1e-11 of the rates,
+for modes up to 20 rad/s.
 """
 
 import math
@@ -37,7 +37,7 @@ DEFAULT_TRIM = (0.0, 0.0, 0.0, 0.5)
 """Surfaces centred (rad), half throttle."""
 
 MAX_SUBSTEPS = 200
-"""Substeps per sample tried in search of a grid that fits the actuator rate and the delay."""
+"""Largest number of substeps in a sample, tried for a grid that fits actuator rate and delay."""
 
 DIVERGED = 1e3
 """Rate at which the plant counts as diverged, rad/s."""
@@ -45,8 +45,8 @@ DIVERGED = 1e3
 
 RATE_GAIN = np.array([[0.0, 0.05, 0.0], [0.0, 0.0, 0.08], [-0.03, 0.0, 0.0], [0.0, 0.0, 0.0]])
 ANGLE_GAIN = np.array([[0.0, 0.15, 0.0], [0.0, 0.0, 0.0], [-0.12, 0.0, 0.0], [0.0, 0.0, 0.0]])
-"""The autopilot, which holds the attitude of `small_uav`: de, dr, da, dth by p, q, r, rad per
-rad/s, and by their integrals, rad per rad."""
+"""Gains of the attitude hold of `small_uav`: de, dr, da, dth by p, q, r, rad per rad/s, and by
+their integrals, rad per rad."""
 
 LARGEST_COMMAND = 0.5
 """Largest command of any input under the autopilot, rad or throttle."""
@@ -59,7 +59,7 @@ class Vehicle:
     name: str  # Its name
     structure: str  # Structure of A
     coefficients: FloatArray  # (3, n) A, SI units
-    inertia: Inertia | None = None  # Its inertias, kg m^2, if A came from them
+    inertia: Inertia | None = None  # Inertias behind A, kg m^2, if known
 
 
 _STRUCTURE = STRUCTURES["throttle_coupled"]
@@ -86,7 +86,7 @@ _PRINTED = (
 _TO_SI = np.array([180.0 / np.pi] * 5 + [1.0] * 7)
 
 PAPER_PRINTED = Vehicle("paper_printed", _STRUCTURE.name, np.array(_PRINTED) * _TO_SI)
-"""The coefficients that the paper prints, moved from degrees to SI: no rigid body's, A32 is not
+"""The paper's printed coefficients, in SI instead of degrees. No rigid body has them: A32 is not
 -A11."""
 
 VEHICLES = {one.name: one for one in (SMALL_UAV, PAPER_PRINTED)}
@@ -106,11 +106,11 @@ class PlantFlight(Plan):
     gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis independently
     # Variation of the specific force, m/s^2, on each axis; about (0, 0, -g)
     force: ColouredNoise = CALM
-    # (3,) Constant angular acceleration, rad/s^2: an aircraft out of trim
+    # (3,) Constant angular acceleration, rad/s^2, as from an error of the trim
     moment: Sequence[float] = (0.0, 0.0, 0.0)
     autopilot: bool = False  # Whether feedback of the true rates is added to the excitation
     changes: tuple[CoefficientChange, ...] = ()  # Coefficients that change in flight
-    # (4,) Trim of de, dr, da, dth: what the plain raw channels are at zero deviation
+    # (4,) Trim of de, dr, da, dth: the plain raw channels at zero deviation
     trim: Sequence[float] = DEFAULT_TRIM
     initial_rates: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) p, q, r at the start, rad/s
     max_step: float = 1e-3  # Largest integration step, s
@@ -121,7 +121,7 @@ class PlantFlight(Plan):
 
     @property
     def substeps(self) -> int:
-        """Least number of steps in a sample so that commands and delay fall on the grid."""
+        """Smallest number of steps in a sample that puts commands and delay on the grid."""
         first = max(1, math.ceil(1.0 / (self.rate * self.max_step) - STEP_TOLERANCE))
         for substeps in range(first, first + MAX_SUBSTEPS):
             fine = self.rate * substeps
@@ -135,7 +135,7 @@ class PlantFlight(Plan):
         )
 
     def fly(self, name: str = "") -> Flight:
-        """Fly it; see `Plan.fly`. A plant may diverge, too."""
+        """Simulate the flight; see `Plan.fly`. An unstable plant raises SimulationError."""
         gust_rng, force_rng = (np.random.default_rng([self.seed, k]) for k in range(2))
         gust = np.asarray(self.moment) + self.gusts.sample(self.samples, 3, self.rate, gust_rng)
         force = self.force.sample(self.samples, 3, self.rate, force_rng) - [0.0, 0.0, GRAVITY]
@@ -158,7 +158,7 @@ class PlantFlight(Plan):
 
 
 class _LivePlant(Live):
-    """It in flight; a row has the rates and their derivatives."""
+    """The plant in flight; a recorded row has the rates and their derivatives."""
 
     def __init__(self, plan: PlantFlight, substeps: int, gust: FloatArray) -> None:
         rate = plan.rate * substeps
@@ -177,7 +177,7 @@ class _LivePlant(Live):
         self._change()
 
     def _change(self) -> None:
-        """Take the coefficients that hold over the next step."""
+        """Update the coefficients to those of the next step."""
         now = self.time + 0.5 / self.rate
         self._changes = [time for time in self._changes if time > now]
         vehicle = self._plan.vehicle
@@ -185,7 +185,7 @@ class _LivePlant(Live):
         self._by_input, self._derivative = a[:, INPUT_COLUMNS], rates_derivative(a)
 
     def commanded(self, _: float, excitation: FloatArray) -> FloatArray:
-        """Excitation and feedback at an actuator sample."""
+        """Return excitation plus feedback at an actuator sample."""
         if not self._plan.autopilot:
             return excitation
         x = np.array(self._rates)
@@ -212,4 +212,4 @@ class _LivePlant(Live):
         return row
 
     def _attitude(self) -> Sequence[float]:
-        return 0.0, 0.0, 0.0  # none is lost
+        return 0.0, 0.0, 0.0  # no attitude, and so no upset

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `simulated_plant`: a JSBSim aircraft for controllers to fly.
 
-It publishes the Imu, the airspeed of an aeroplane and what the actuators were told, and takes
-commands. In step (``lock_step``) it is the source of /clock and waits, after each Imu sample, for
-the command that answers it, so that a flight comes out the same on any machine, and as fast as the
-loop allows.
-Otherwise it flies in real time, stamped with the wall clock, and waits for nobody.
+It publishes the Imu, the airspeed of an aeroplane and the actuator commands, and receives commands.
+In lock-step (``lock_step``) it publishes /clock and waits for the command to each Imu sample. Such
+a flight is the same on any machine, and as fast as the loop allows. Otherwise the node flies in
+real time, stamped with the wall clock, without waiting.
 """
 
 import math
@@ -49,21 +48,21 @@ from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
 
 PATIENCE = 5.0
-"""In step: wall-clock seconds that an answer may take before the flight goes on without it."""
+"""In lock-step: longest wait for a command or service, wall-clock seconds."""
 
 START_PATIENCE = 60.0
-"""Wall-clock seconds in which whoever is waited for must have appeared."""
+"""Longest wait for the other nodes at the start, wall-clock seconds."""
 
 COEFFICIENTS_WITHIN_NS = 200_000_000
-"""In step: how far the newest coefficients may lie behind the newest Imu sample, ns."""
+"""In lock-step: largest age of the newest coefficients at the newest Imu sample, ns."""
 
 TICK_NS = TICK_DUE_NS = 50_000_000
-"""Time between two ticks, and how far behind the newest Imu sample one must lie to be due, ns."""
+"""Period of the ticks, and age of a tick at the newest Imu sample when it is due, ns."""
 
 UNLIMITED = [math.inf] * 4
 
 DEPTH = 50
-"""Of the queues, all reliable: in step nothing may be lost."""
+"""Depth of the queues, all reliable: lock-step needs every message."""
 
 PARAMETERS = (
     Setting("aircraft", "str", "c172p", "",
@@ -94,29 +93,29 @@ RECORDED = (
     # A row for each Imu sample: s; true rates, those of the gyro and of the reference (NaN before
     # the first), rad/s, FRD; roll, pitch, yaw, rad
     "time", "rates", "measured", "reference", "attitude",
-    # elevator, rudder, aileron, rad, and throttle: as told, and where they are; de, dr, da, dth
-    # that were asked for
+    # elevator, rudder, aileron, rad, and throttle: commanded, and true; requested excitation of de,
+    # dr, da, dth
     "outputs", "surfaces", "excitation",
-    # A row for each estimate that arrived: s; by name; and the verdict
+    # A row for each received estimate: s; by name; and the verdict
     "tick", "values", "sigma", "fit", "usable",
     "names",  # of the coefficients
-    "lost",  # When the aircraft was, s, or NaN
+    "lost",  # Time of the loss of the aircraft, s, or NaN
 )  # fmt: skip
 """Arrays of the record."""
 
 
 class PlantNode(Node):
-    """The node: an aircraft, its messages, and the waiting for the others."""
+    """The node: an aircraft, its messages, and its synchronisation with the other nodes."""
 
     def __init__(self, ending: Ending) -> None:
         super().__init__("simulated_plant")
         self._ending = ending
         self._value = value = read_parameters(self, PARAMETERS)
-        as_they_are = ("rate", "gyro_noise", "accelerometer_noise", "airspeed_bias")
+        unchanged = ("rate", "gyro_noise", "accelerometer_noise", "airspeed_bias")
         sensors = Sensors(
             gyro_bias=tuple(value["gyro_bias"]),
             airspeed_noise=noise if (noise := value["airspeed_noise"]) >= 0.0 else None,
-            **{name: value[name] for name in as_they_are},
+            **{name: value[name] for name in unchanged},
         )
         faults = [parse_fault(text) for text in value["faults"] if text]
         flown = sensors, value["delay"], faults, value["seed"]
@@ -129,7 +128,7 @@ class PlantNode(Node):
         self._period_ns = round(NS_PER_S / value["rate"])
         self._now_ns = self._start_ns = EPOCH_NS
         self._record: dict[str, list[Any]] = {name: [] for name in RECORDED}
-        # The newest command and reference: stamp, ns, and value
+        # Newest command and reference: stamp, ns, and value
         self._command: tuple[int, FloatArray | None] = (0, None)
         self._reference = (0, np.full(3, np.nan))
         self._coefficients_ns = 0
@@ -208,7 +207,7 @@ class PlantNode(Node):
     def fly(self) -> None:
         """Fly until `duration` is over."""
         if self._lock_step:
-            self._wait_for_everyone()
+            self._wait_for_nodes()
         else:
             self._start_ns = time.time_ns()
         began = time.monotonic()
@@ -256,7 +255,7 @@ class PlantNode(Node):
             self._log_fault(fault)
 
     def _answer(self, sample: Sample) -> None:
-        """Let the actuators follow the newest command, and say what they were told."""
+        """Command the actuators, publish their commands and record the sample."""
         t_ns, surfaces = self._command
         self.missed += t_ns < self._now_ns
         self._aircraft.command(surfaces)
@@ -280,7 +279,7 @@ class PlantNode(Node):
         )
 
     def _excite_if_due(self) -> None:
-        """Ask the identifier for excitation, once; in step, at the same tick in every flight."""
+        """Request excitation once; in lock-step, at the same tick in every flight."""
         if self._aircraft.time < self._excite_at:
             return
         self._excite_at = math.inf
@@ -300,10 +299,10 @@ class PlantNode(Node):
         listen(self._executor, patience, lambda: condition() or not self._going())
         return condition()
 
-    def _wait_for_everyone(self) -> None:
-        """Listen until there is a controller, and an identifier if one is waited for.
+    def _wait_for_nodes(self) -> None:
+        """Spin until the controller, and the nodes that the parameters name, are discovered.
 
-        A controller in step offers its commands when it can hear the identifier.
+        A controller in lock-step advertises its commands once it has discovered the identifier.
         """
         guided, identified = bool(self._value["wait_for_reference"]), not self._identifier_silent
         clock = self._clock.publisher
@@ -327,10 +326,10 @@ class PlantNode(Node):
             raise SimulationError(
                 f"waited {START_PATIENCE:g} s in vain for {' and '.join(missing())}"
             )
-        self._wait(lambda: False, 1.0)  # until whoever is known knows it
+        self._wait(lambda: False, 1.0)  # until the other nodes have discovered this one, too
 
     def _wait_for_answers(self) -> None:
-        """Listen until the newest sample is answered and the coefficients are not far behind."""
+        """Spin until the command to the newest sample and recent coefficients have arrived."""
         unguided = not self._value["wait_for_reference"]
 
         def answered() -> bool:
@@ -360,7 +359,7 @@ class PlantNode(Node):
 
 
 def _imu_message(t_ns: int, sample: Sample) -> Imu:
-    """Imu message in REP-103 axes; its orientation is true, as an AHRS would have it."""
+    """Return an Imu message in REP-103 axes, with the true orientation in place of an AHRS's."""
     message = Imu(header=Header(stamp=to_stamp(t_ns), frame_id=FRAME_IDS["flu"]))
     message.angular_velocity = _vector(sample.measured_rates * FRD_TO_FLU)
     message.linear_acceleration = _vector(sample.measured_force * FRD_TO_FLU)
@@ -375,7 +374,7 @@ def _vector(values: FloatArray) -> Vector3:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node; the return value is the exit status: 2 if it was started wrongly."""
+    """Run the node; return the exit status, 2 for wrong parameters."""
     text = usage("simulated_plant", __doc__ or "", PARAMETERS)
     ending = Ending()
     return run("simulated_plant", lambda: _make(ending), _fly, args, text, ending)
@@ -389,7 +388,7 @@ def _make(ending: Ending) -> PlantNode:
 
 
 def _fly(node: PlantNode, _: Ending) -> int:
-    """Fly; return 1 if the aircraft is lost or nobody appears to fly it."""
+    """Fly; return 1 if the aircraft is lost or a node that is waited for is missing."""
     try:
         node.fly()
     except SimulationError as error:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the name of an aircraft to a loop that can fly it: trim it, excite it, identify it.
+"""Preparation of an aircraft for the loop: trim, excitation, identification.
 
-The identifier sees two minutes of multisines, as a first flight would give them, and its
-coefficients become the nominal set of the controller and the start of the identifier in the loop.
+The identifier runs over `EXCITED_TIME` of multisines, as in a first flight. Its coefficients become
+the nominal set of the controller, and the initial ones of the identifier in the loop.
 """
 
 from dataclasses import dataclass
@@ -26,39 +26,39 @@ from uav_ident_ros.simulation.noise import Measurements, Sensors, fed, measure
 from uav_ident_ros.simulation.recording import parameters, yaml_text
 
 CONFIG = shared("config/closed_loop")
-"""Files of the aircraft that come identified."""
+"""Folder of the aircraft that are already identified."""
 
 EXCITED_TIME = 90.0
-"""Length of the flight that identifies an aircraft, s."""
+"""Length of the identification flight, s."""
 
 SENSORS = Sensors(
     rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05, airspeed_noise=0.3, airspeed_bias=0.3
 )
-"""Of that flight and of the aircraft in the loop: a MEMS Imu after its low-pass, a pitot tube."""
+"""Sensors of that flight and in the loop: a MEMS Imu after its low-pass, and a pitot tube."""
 
 EXCITED_SHARE = 0.1
-"""Excitation in the loop, over half of the travel of each surface."""
+"""Excitation in the loop, relative to half of the travel of each surface."""
 
 BETWEEN_FLIGHTS = 0.2
-"""What a coefficient may differ by from one flight to the next, relative: the load and the
-weather. Added to the sigmas of what is handed on."""
+"""Relative variation of a coefficient between flights, by load and weather. It is added to the
+sigmas of the initial coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """An aircraft that can be flown in the loop."""
+    """An aircraft ready for the loop."""
 
     aircraft: str  # Its name, or the path of its file
-    airframe: Airframe  # What it is, at the speed flown
-    trim: FloatArray  # (4,) Elevator, rudder, aileron (rad) and throttle of its steady flight
-    limits: FloatArray  # (2, 4) Least and largest of them
+    airframe: Airframe  # Its airframe, at the speed flown
+    trim: FloatArray  # (4,) Elevator, rudder, aileron (rad) and throttle in steady flight
+    limits: FloatArray  # (2, 4) Lower and upper limits of them
     coefficients: CoefficientSet  # As identified, sigmas widened
 
 
 def prepare(
     name: str,  # As in `uav_ident_ros.simulation.airframe`
-    speed: float | None = None,  # True airspeed in place of its own, m/s
-    time: float = EXCITED_TIME,  # Length of the flight that identifies it, s
+    speed: float | None = None,  # True airspeed in place of the airframe's, m/s
+    time: float = EXCITED_TIME,  # Length of the identification flight, s
 ) -> Prepared:
     """Trim, excite and identify an aircraft."""
     frame = airframe(name, speed)
@@ -70,7 +70,7 @@ def prepare(
 
 
 def identify(m: Measurements, speed: float) -> CoefficientSet:
-    """Run the identifier over a flight, online; return what it has in the end, at `speed`, m/s."""
+    """Identify a flight online; return the final coefficients, for the airspeed `speed`, m/s."""
     settings = Settings.from_values(parameters(m) | {"airspeed.reference": speed})
     identifier = OnlineIdentifier(settings)
     ticks = sum(1 for _ in fed(identifier, m.messages()))
@@ -80,7 +80,7 @@ def identify(m: Measurements, speed: float) -> CoefficientSet:
 
 
 def widened(found: CoefficientSet) -> CoefficientSet:
-    """Return coefficients with sigmas for another flight: see `BETWEEN_FLIGHTS`."""
+    """Return coefficients with sigmas for another flight, widened by `BETWEEN_FLIGHTS`."""
     sigma = np.hypot(found.sigma, BETWEEN_FLIGHTS * np.abs(found.values))
     sigma = np.where(found.sigma > 0.0, sigma, 0.0)
     return CoefficientSet(found.structure, found.values, sigma, EPOCH_NS)
@@ -95,7 +95,7 @@ def write(prepared: Prepared, folder: Path) -> None:
 
 
 def parameter_file(prepared: Prepared) -> str:
-    """Return the ROS parameter file of the loop's nodes: the c172p's with what is its own."""
+    """Return the ROS parameter file of the loop's nodes: the c172p's, adapted to the aircraft."""
     frame = prepared.airframe
     trim, least, largest = (v.tolist() for v in (prepared.trim, *prepared.limits))
     added = EXCITED_SHARE * 0.5 * (prepared.limits[1] - prepared.limits[0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A quadrotor in X, and flights in hover on an autopilot that holds attitude and height."""
+"""A quadrotor in X, and its flights in hover under an attitude and height hold."""
 
 import math
 from collections.abc import Sequence
@@ -20,20 +20,20 @@ NAME = "quadrotor"
 """Its name among the plants and the aircraft."""
 
 SIDES = ((1.0, 1.0), (-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0))
-"""Forward and right of the centre: motors front right, rear left, front left, rear right."""
+"""Motor positions, forward and right, in arms: front right, rear left, front left, rear right."""
 
 SPINS = (1.0, 1.0, -1.0, -1.0)
-"""Sense of each rotor's torque on the body: the first two yaw it right."""
+"""Sign of each rotor's yawing torque on the body, positive to the right."""
 
 
 @dataclass(frozen=True)
 class Body:
-    """A quadrotor of 1.5 kg, of the size of the F450."""
+    """Parameters of a quadrotor of 1.5 kg, of the size of the F450."""
 
     mass: float = 1.5  # kg
     inertia: tuple[float, float, float] = (0.029, 0.029, 0.055)  # Ix, Iy, Iz, kg m^2
     arm: float = 0.16  # Of each motor from the roll and from the pitch axis, m
-    hover: float = 0.5  # Command at which it hovers, 0 ... 1
+    hover: float = 0.5  # Motor command in hover, 0 ... 1
     torque: float = 0.016  # Rotor torque over thrust, m
     inflow: float = 0.6  # c of `LiveQuadrotor`, N per m/s, at full speed
     drag: float = 0.25  # Sideways force of all rotors, N per m/s
@@ -45,12 +45,12 @@ class Body:
         return self.mass * GRAVITY / (len(SIDES) * self.hover**2)
 
     def derivatives(self) -> dict[str, float]:
-        """Return the true derivatives in hover by name, the inputs as `QUADROTOR` mixes them.
+        """Return the true derivatives in hover by name, for the mixing of `QUADROTOR`.
 
-        Those of the inputs are where the motors have followed, in steady state.
+        Control derivatives hold in steady state, after the lag of the motors.
         """
         ix, iy, iz = self.inertia
-        # thrust of one motor by its command, and by its speed along z
+        # derivatives of a motor's thrust: by its command, and by its velocity along z
         by_command = 2.0 * self.largest_thrust * self.hover
         by_speed = self.inflow * self.hover
         half = 0.5 * len(SIDES)
@@ -69,7 +69,7 @@ STILL = (0.0, 0.0, 0.0)
 
 
 ANGLE_GAIN, RATE_GAIN, YAW_GAIN = 0.3, 0.06, 0.35
-"""Of the autopilot: input per rad and per rad/s of roll and pitch, and per rad/s of yaw."""
+"""Gains of the autopilot: input per rad and per rad/s of roll and pitch, and per rad/s of yaw."""
 
 HEIGHT_GAIN, SINKING_GAIN = 0.05, 0.08
 """Collective per m and per m/s."""
@@ -80,24 +80,24 @@ PARAMETERS = {
     "fixed_coefficients": ["pdot/ay", "qdot/az", "rdot/ay"],  # no flow angles
     "actuators.thrust_curve": [1.0] * len(QUADROTOR.names),
 }
-"""Parameters of the identifier that suit it, beside those of its channels."""
+"""Parameters of the identifier for the quadrotor, except those of its channels."""
 
 AMPLITUDES = dict(zip(INPUTS, (0.02, 0.05, 0.02, 0.03), strict=True))
-"""Peaks of an excitation that moves it well and keeps it near hover."""
+"""Peaks of a sufficient excitation near hover."""
 
 
 class LiveQuadrotor(Live):
-    """A quadrotor in flight, commanded as an aircraft is.
+    """A quadrotor in flight, with the commands of an aircraft.
 
     A rotor's thrust is ``T = T_max w^2 + c w v_z``, with its speed w as a fraction of the largest
-    and the velocity v_z along the body's z axis where it is: a rotor that sinks through the air
-    lifts more, which damps roll, pitch and heave. Its torque is its thrust times a length. Speed
-    follows the command, 0 ... 1, with a first-order lag. Rotors drag sideways in proportion to the
-    speed. Left out: the rotors' own inertia (it adds to the yaw moment while they speed up), ground
-    and blockage.
+    and its velocity v_z along the body's z axis. A rotor that sinks through the air has more
+    thrust, which damps roll, pitch and heave. Its torque is its thrust times a length. Its speed
+    follows the command, 0 ... 1, with a first-order lag. Rotor drag is proportional to sideways
+    velocity. Not modelled: rotor inertia (a yaw moment while the speed changes), ground effect and
+    blockage.
 
-    Elevator, rudder and aileron stand for pitch, yaw and roll: it mixes them into its motors, and
-    holds its height itself. Parameters are those of `LiveAircraft`. Of a step is kept: rates,
+    Elevator, rudder and aileron stand for pitch, yaw and roll, and are mixed into the motors. The
+    quadrotor holds its height. Parameters are those of `LiveAircraft`. A recorded row has rates,
     specific force, angular acceleration and angles.
     """
 
@@ -118,7 +118,7 @@ class LiveQuadrotor(Live):
         # p q r, rad/s; roll pitch yaw, rad; u v w in body axes, m/s; position below the start, m
         self.state = [0.0] * 10
         self.speeds = [self.body.hover] * 4  # Of the motors, 0 ... 1
-        self.effect = [1.0] * 4  # What is left of each motor's thrust
+        self.effect = [1.0] * 4  # Remaining share of each motor's thrust
         self._gusts = iter(() if gusts is None else gusts.tolist())
         self.trim = np.array([0.0, 0.0, 0.0, self.body.hover])
         self._commanded: FloatArray = self.trim[:3]
@@ -127,14 +127,14 @@ class LiveQuadrotor(Live):
             _motor(fault)
 
     def apply(self, fault: Fault) -> None:
-        """Let a fault happen now; see `Live.apply`."""
+        """Apply a fault now; see `Live.apply`."""
         if (motor := _motor(fault)) is None:
             self.effect = [1.0] * len(QUADROTOR.names)
         else:
             self.effect[motor] = fault.value or 0.0
 
     def motors(self, inputs: FloatArray) -> FloatArray:
-        """Motors' commands for de, dr, da, dth, within what they can do."""
+        """Return the motors' commands for de, dr, da, dth, within 0 ... 1."""
         return np.clip(QUADROTOR.raw(inputs, self.trim), 0.0, 1.0)
 
     def hold(self) -> FloatArray:
@@ -162,7 +162,7 @@ class LiveQuadrotor(Live):
 
     @property
     def _sinking(self) -> float:
-        """Velocity downwards, m/s."""
+        """Return the downward velocity, m/s."""
         roll, pitch, _, u, v, w, _ = self.state[3:]
         return (
             -math.sin(pitch) * u
@@ -171,9 +171,9 @@ class LiveQuadrotor(Live):
 
     def loads(
         self,
-        gust: Sequence[float] = STILL,  # Its angular acceleration, rad/s^2
+        gust: Sequence[float] = STILL,  # Angular acceleration by the gust, rad/s^2
     ) -> tuple[list[float], list[float]]:
-        """Specific force, m/s^2, and angular acceleration, rad/s^2, as things are."""
+        """Return specific force, m/s^2, and angular acceleration, rad/s^2, in the present state."""
         body = self.body
         p, q, r, *_, u, v, w, _ = self.state
         total = roll = pitch = yaw = 0.0
@@ -195,7 +195,7 @@ class LiveQuadrotor(Live):
         ]
 
     def _fly(self, acting: FloatArray, moved: bool) -> tuple[list[float], ...]:
-        """Speeds are exact over the step, the motion is of second order in it."""
+        """Simulate one step: motor speeds exactly, the motion to second order."""
         h, gust = 1.0 / self.rate, next(self._gusts, STILL)
         state, before = self.state, self.speeds
         decay = math.exp(-0.5 * h / self.body.time_constant)
@@ -210,7 +210,7 @@ class LiveQuadrotor(Live):
         return state[:3], *loads, state[3:6]
 
     def _slopes(self, force: list[float], acceleration: list[float]) -> list[float]:
-        """Time derivative of the state."""
+        """Return the time derivative of the state."""
         p, q, r, roll, pitch, _, u, v, w, _ = self.state
         turn = q * math.sin(roll) + r * math.cos(roll)
         return [
@@ -226,7 +226,7 @@ class LiveQuadrotor(Live):
 
 
 def _motor(fault: Fault) -> int | None:
-    """Return the motor of a fault; None if all are repaired."""
+    """Return the index of a fault's motor; None for ``repaired``."""
     if fault.kind == "repaired":
         return None
     if fault.kind != "effect" or fault.what not in QUADROTOR.names:

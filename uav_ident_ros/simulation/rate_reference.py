@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node `rate_reference`: rates for a controller to follow, as in normal flight.
 
-It banks to one side and the other and pitches up and down, by random amounts at random times, and
-asks for the rates that lead there; nothing is added to excite anything.
+The bank angle alternates between the sides and the pitch angle changes, by random amounts at
+random times. The reference contains no excitation.
 """
 
 import math
@@ -23,13 +23,13 @@ from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.program import read_parameters, run, spin, usage
 
 ANGLE_GAIN = 1.0
-"""Rate of an angle per rad of its error, 1/s."""
+"""Reference rate per rad of angle error, 1/s."""
 
 SMOOTHING = 0.2
-"""Time constant of these rates, s: a pilot's hand, not a step."""
+"""Time constant of the reference rates, s: those of a pilot are no steps."""
 
 MAX_RATES = (0.35, 0.15)
-"""Largest rates of bank and pitch angle, rad/s: 20 and 9 deg/s."""
+"""Largest rates of bank and pitch angle, rad/s (20 and 9 deg/s)."""
 
 STEADY_TIME = 2.0
 """Time of straight flight at the start, s."""
@@ -39,7 +39,7 @@ LEAST_BANK = 0.4
 
 
 class Manoeuvres:
-    """Bank and pitch angles to fly, and the rates that lead there."""
+    """Random bank and pitch angles, and the rates that track them."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Manoeuvres:
     ) -> None:
         self._bank, self._pitch, self._hold, self._airspeed = bank, pitch, hold, airspeed
         self._rng = np.random.default_rng(seed)
-        self._target = [0.0, 0.0]  # bank, pitch beyond the first
+        self._target = [0.0, 0.0]  # bank; pitch relative to the initial one
         self._next = [STEADY_TIME, STEADY_TIME]
         self._side = 1.0
         self._level: float | None = None
@@ -64,7 +64,7 @@ class Manoeuvres:
         pitch: float,
         dt: float,  # Time since the last call, s
     ) -> FloatArray:
-        """Return p, q, r to follow, rad/s, FRD."""
+        """Return the reference of p, q, r, rad/s, FRD."""
         if self._level is None:
             self._level = pitch
         self._choose(time)
@@ -85,7 +85,7 @@ class Manoeuvres:
 
 
 def body_rates(angle_rates: FloatArray, roll: float, pitch: float, turn: float) -> FloatArray:
-    """Body rates p, q, r from those of bank, pitch (angle_rates) and heading (turn), rad/s."""
+    """Return p, q, r for rates of bank, pitch (angle_rates) and heading (turn), rad/s."""
     bank_rate, pitch_rate = angle_rates
     return np.array(
         [
@@ -105,18 +105,18 @@ PARAMETERS = (
 )
 
 NORMAL: dict[str, Any] = {setting.name: setting.default for setting in PARAMETERS}
-"""Manoeuvres by default."""
+"""Default values of the manoeuvres."""
 
 
 def attitude(q: Quaternion) -> tuple[float, float]:
-    """Roll and pitch, rad, FRD, from an orientation in REP-103 axes."""
+    """Return roll and pitch, rad, FRD, for an orientation in REP-103 axes."""
     roll = math.atan2(2.0 * (q.w * q.x + q.y * q.z), 1.0 - 2.0 * (q.x**2 + q.y**2))
     pitch = math.asin(max(-1.0, min(1.0, 2.0 * (q.w * q.y - q.z * q.x))))
     return roll, -pitch
 
 
 class RateReference(Node):
-    """The node: answers each Imu message with a reference of the same stamp."""
+    """The node: publishes a reference for each Imu message, with the same stamp."""
 
     def __init__(self) -> None:
         super().__init__("rate_reference")

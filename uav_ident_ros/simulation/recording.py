@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured flights as bags, and the parameters that fit their topics."""
+"""Recording of measured flights as bags, and the parameters for their topics."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -35,7 +35,7 @@ FIGURES = 9
 
 
 def actuator_type(measurements: Measurements) -> str:
-    """Message type of the actuator topic."""
+    """Return the message type of the actuator topic."""
     return JOINT_STATE if measurements.sensors.stamped else ARRAY
 
 
@@ -60,7 +60,7 @@ def write_bag(
 ) -> None:
     """Write a measured flight as a bag, with `identifier.yaml` and `truth.yaml` beside it.
 
-    If it cannot be written nothing stays behind.
+    A failure leaves no partial bag.
     """
     with whole(Path(path)) as folder:
         with BagWriter(folder, compress) as bag:
@@ -79,7 +79,7 @@ def write_bag(
 
 
 def parameters(measurements: Measurements) -> dict[str, Any]:
-    """Parameters of the identifier that fit this flight's topics, by dotted name."""
+    """Return the identifier's parameters for the flight's topics, by dotted name."""
     flight, stamped = measurements.flight, measurements.sensors.stamped
     channel_set = flight.channel_set
     names: list[Any] = list(channel_set.names if stamped else range(len(channel_set.names)))
@@ -100,17 +100,17 @@ def parameters(measurements: Measurements) -> dict[str, Any]:
         if len(measurements.airspeed):
             values["airspeed.type"] = TWIST
     elif flight.structure:
-        # The plant has no aerodynamic forces: its own structure has its coefficients.
+        # The plant has no aerodynamic forces: flight_dynamics cannot represent it.
         values["structure"] = "augmented"
     return values | flight.parameters
 
 
 def truth(measurements: Measurements) -> dict[str, Any]:
-    """Return what is true of this flight: coefficients and derivatives in SI, aircraft axes.
+    """Return the truth of the flight: coefficients and derivatives in SI, aircraft axes.
 
-    From the time of a change (s) on, each coefficient it names is its old value times the factor.
-    Local derivatives are those at the trimmed flight condition; the excitation is told by start and
-    end, s after the first Imu sample.
+    At the time of a change (s), each of its coefficients is multiplied by the factor. Local
+    derivatives hold at the trimmed flight condition. The excitation has start and end, s after the
+    first Imu sample.
     """
     flight = measurements.flight
     out: dict[str, Any] = {"flight": flight.name}
@@ -127,13 +127,13 @@ def truth(measurements: Measurements) -> dict[str, Any]:
 
 
 def yaml_text(content: Mapping[str, Any], comment: str) -> str:
-    """Return YAML of `FIGURES` figures that ROS's own parser reads, too, below a comment."""
+    """Return YAML below a comment, with `FIGURES` figures, readable by ROS's own parser."""
     head = f"# SPDX-License-Identifier: Apache-2.0\n# {comment}\n"
     return head + str(yaml.dump(_rounded(content), Dumper=_Dumper, sort_keys=False, width=1000))
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists on one line, mappings an entry a line."""
+    """Dumper of lists on one line, and mappings with one entry in a line."""
 
 
 _Dumper.add_representer(
@@ -142,7 +142,7 @@ _Dumper.add_representer(
 
 
 def _rounded(value: Any) -> Any:
-    """Numbers to `FIGURES` figures: the same text on every machine."""
+    """Return numbers rounded to `FIGURES` figures, for the same text on every machine."""
     if isinstance(value, Mapping):
         return {key: _rounded(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
