@@ -22,7 +22,7 @@ from uav_ident_ros.launching import (
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the description that `ros2 launch` executes; it ends when the plant has landed."""
+    """Return the launch description; the launch ends with the plant's flight."""
     coefficients = LaunchConfiguration("coefficients_file")
     plant = node(
         "simulated_plant",
@@ -30,7 +30,7 @@ def generate_launch_description() -> LaunchDescription:
         {
             "duration": ParameterValue(LaunchConfiguration("duration"), value_type=float),
             "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
-            # a list: launch_ros would take a fault, with its colon, for a YAML mapping
+            # a list: launch_ros would parse a fault, with its colon, as a YAML mapping
             "faults": ParameterValue(
                 ["['", LaunchConfiguration("fault"), "']"], value_type=list[str]
             ),
@@ -79,7 +79,7 @@ def generate_launch_description() -> LaunchDescription:
             files_exist("params_file", "coefficients_file"),
             *fails_with(plant, *others),
             RegisterEventHandler(landed),
-            plant,  # first: should an argument of it be wrong, nobody else has started
+            plant,  # first: a wrong argument ends the launch before the other processes
             *others,
         ]
     )

@@ -21,11 +21,11 @@ from uav_ident_ros.launching import (
 )
 
 RESPAWN_DELAY = 1.0
-"""Time until a node that ended is started again, s: a crash at once does not take the processor."""
+"""Delay of a restart, s: a node that crashes immediately does not occupy the processor."""
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the description that `ros2 launch` executes."""
+    """Return the launch description."""
     sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     identifier = node(
         "identifier",

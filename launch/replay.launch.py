@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Play a bag to the identifier, on the bag's own clock; stops when the bag ends.
+"""Play a bag to the identifier, on the bag's own clock; end with the bag.
 
 ros2 launch uav_ident_ros replay.launch.py bag:=/path/to/bag params_file:=/path/to/vehicle.yaml \
     record:=/path/to/new/bag
 
-Needs ros2bag. The same without the middleware, and faster: `ros2 run uav_ident_ros replay BAG`.
+It needs ros2bag. `ros2 run uav_ident_ros replay BAG` is faster and needs no middleware.
 """
 
 from pathlib import Path
@@ -35,23 +35,23 @@ from uav_ident_ros.launching import (
 )
 
 CLOCK_RATE = "200.0"
-"""Rate of /clock, Hz: unstamped messages are stamped with it when they arrive, and the default of
-`ros2 bag play`, 40 Hz, would put them up to 25 ms off. Raise it with the argument rate."""
+"""Rate of /clock, Hz. Unstamped messages are stamped with it on arrival: the default of
+`ros2 bag play`, 40 Hz, gives errors up to 25 ms. It must grow with the argument rate."""
 
 START_DELAY = "3.0"
-"""Time for the node and the recorder to find the player before it begins, s: a best-effort
-subscription misses what was sent before."""
+"""Time for discovery before the player starts, s: a best-effort subscription misses earlier
+messages."""
 
 LAST_TICKS = 2.0
-"""Time after the last message in which its ticks are computed and recorded, s."""
+"""Time after the last message for its ticks to be computed and recorded, s."""
 
 NODE = "identifier"
 RECORDED = f"/{NODE}/|^/diagnostics$"
-"""Regular expression of the topics that are recorded: the node's own, in any namespace."""
+"""Regular expression of the recorded topics: the node's own, in any namespace."""
 
 
 def check_recording(context: LaunchContext) -> None:
-    """End the launch if it cannot play or record, before a process is started."""
+    """End the launch before any process if it cannot play or record."""
     FindExecutable(name="ros2").perform(context)
     folder = LaunchConfiguration("record").perform(context)
     if folder and Path(folder).exists():
@@ -59,8 +59,8 @@ def check_recording(context: LaunchContext) -> None:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the description that `ros2 launch` executes."""
-    # neither the clock nor what other flights have shown is the file's
+    """Return the launch description."""
+    # override the file: simulated time, and no coefficients of other flights
     own = {"use_sim_time": True, "state_file": "none"}
     identifier = node(NODE, NODE, own, remappings=remappings())
     recorder = ExecuteProcess(
@@ -96,7 +96,7 @@ def generate_launch_description() -> LaunchDescription:
             argument("clock_rate", "Rate of /clock, Hz of the computer's time", CLOCK_RATE),
             argument("start_delay", "Wait before the playback, s", START_DELAY),
             argument("record", "Folder of a new bag with the node's topics; empty: none"),
-            *topic_arguments("/"),  # a bag's topics do not follow the node's namespace
+            *topic_arguments("/"),  # a bag's topics are outside of the node's namespace
             files_exist("params_file", "bag"),
             OpaqueFunction(function=check_recording),
             *fails_with(identifier, recorder, player),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands have in common: complaints of one line, and an end by a signal."""
+"""Common parts of the commands: error messages of one line, and the end by a signal."""
 
 import argparse
 import os
@@ -13,14 +13,14 @@ USAGE_ERROR = 2
 """Exit status for a wrong command line or bad input."""
 
 INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+"""Exit status after Ctrl-C, as in shells."""
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """A parser whose complaint is one line."""
+    """An argument parser with error messages of one line."""
 
     def error(self, message: str) -> NoReturn:
-        """End with the complaint, and where to look."""
+        """Exit with the error message and a hint at ``--help``."""
         self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
@@ -29,9 +29,9 @@ Number = TypeVar("Number", int, float)
 
 def number(
     kind: Callable[[str], Number],  # ``int`` or ``float``
-    least: Number,  # least, most: What it may be
+    least: Number,  # least, most: The range
     most: Number,
-    words: str,  # What follows what was given, where that is no such number
+    suffix: str,  # Text after a refused value in the error message
 ) -> Callable[[str], Number]:
     """Return the type of an argument that is a number in a range."""
 
@@ -39,7 +39,7 @@ def number(
         with suppress(ValueError):
             if least <= (value := kind(text)) <= most:
                 return value
-        raise argparse.ArgumentTypeError(f"'{text}'{words}")
+        raise argparse.ArgumentTypeError(f"'{text}'{suffix}")
 
     return read
 
@@ -49,10 +49,10 @@ def _interrupt(*_: object) -> NoReturn:
 
 
 def end_as_on_ctrl_c() -> None:
-    """Let SIGTERM do what Ctrl-C does: children and the terminal must not be left behind."""
+    """Treat SIGTERM as Ctrl-C, so that children end and the terminal is restored."""
     signal.signal(signal.SIGTERM, _interrupt)
 
 
 def reader_has_gone() -> None:
-    """Give what is still to be printed nowhere to go: Python would complain of it at the exit."""
+    """Redirect further output to /dev/null after a broken pipe: else Python's exit reports it."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

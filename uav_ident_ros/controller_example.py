@@ -3,9 +3,9 @@
 
 Rates and their references in, surfaces out, one command for each Imu message. The law is in
 `uav_ident_ros.control`: incremental inversion (INDI) on measured angular acceleration, or inversion
-of the identified model with a disturbance observer (``law: inversion``). Whose control derivatives
-it flies on, identified, last good or nominal, is decided axis by axis. With the parameter
-``mode: fixed`` the same law keeps to the nominal coefficients for ever.
+of the identified model with a disturbance observer (``law: inversion``). Each axis uses identified,
+last good or nominal control derivatives. With the parameter ``mode: fixed`` the law always uses the
+nominal coefficients.
 """
 
 import sys
@@ -44,11 +44,11 @@ FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 AXES = ("roll", "pitch", "yaw")
 
 REPORT_PERIOD = 1.0
-"""Time between reports on /diagnostics, s; a change is reported at once."""
+"""Period of reports on /diagnostics, s; changes are reported immediately."""
 
-ACQUAINTANCE_TIME, LOOK_PERIOD = 30.0, 0.05
-"""In lock-step with a simulation: how long commands may wait for the identifier to be known, and
-how often that is looked at, s of wall clock."""
+DISCOVERY_TIME, POLL_PERIOD = 30.0, 0.05
+"""In lock-step with a simulation: longest wait for the discovery of the identifier, and period of
+the check, s of wall clock."""
 
 PARAMETERS = (
     Setting("law", "str", "incremental", "", "How inputs are found.", choices=tuple(LAWS)),
@@ -107,24 +107,24 @@ class ControllerExample(Node):
         self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, 50)
         self.create_subscription(Imu, "imu/data", self._on_imu, best_effort)
         if coefficients is None or not value["coefficients_delay"]:
-            self._announce()
+            self._advertise()
         else:
-            self._announce_once_known(coefficients)
+            self._advertise_once_discovered(coefficients)
 
-    def _announce(self) -> None:
+    def _advertise(self) -> None:
         self._commands = self.create_publisher(JointState, "command", 50)
 
-    def _announce_once_known(self, coefficients: Any) -> None:
-        """Offer commands when the coefficients can come: a simulation starts with the offer."""
-        end = time.monotonic() + ACQUAINTANCE_TIME
+    def _advertise_once_discovered(self, coefficients: Any) -> None:
+        """Advertise the commands once the identifier is discovered: the simulation then starts."""
+        end = time.monotonic() + DISCOVERY_TIME
 
-        def look() -> None:
+        def check() -> None:
             if coefficients.get_publisher_count() or time.monotonic() > end:
                 self.destroy_timer(timer)
-                self._announce()
+                self._advertise()
 
-        # the node's own clock may be the simulation's, which stands still until then
-        timer = self.create_timer(LOOK_PERIOD, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # a steady clock, because the node's may be the simulation's, which does not run yet
+        timer = self.create_timer(POLL_PERIOD, check, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _make(self, nominal: Coefficients) -> RateController:
         value = self._value
@@ -153,15 +153,15 @@ class ControllerExample(Node):
         x = np.array([rates.x, rates.y, rates.z]) * FLU_TO_FRD
         reference = self._references.at(t_ns - self._reference_delay_ns)
         if not np.isfinite(x if reference is None else x - reference).all():
-            words = "a rate or its reference is not finite: the surfaces stay where they are"
-            self.get_logger().warning(words, throttle_duration_sec=5.0)
+            problem = "a rate or its reference is not finite: the surfaces stay where they are"
+            self.get_logger().warning(problem, throttle_duration_sec=5.0)
         try:
             controller = self._ready(t_ns)
             u = controller.update(t_ns, x, np.zeros(3) if reference is None else reference)
             u = controller.inject(t_ns, u, self._excitation.at(t_ns))
             self._report(message.header, *summary(controller.effect), controller)
         except Refusal as refusal:
-            u = np.zeros(4)  # trim: all that is left
+            u = np.zeros(4)  # no coefficients: trim
             self._report(message.header, "flying on trim", str(refusal))
         raw = self._trim + u  # plain channels; others: raw = trim + pinv(mixing) u / scale
         self._commands.publish(
@@ -173,7 +173,7 @@ class ControllerExample(Node):
         )
 
     def _ready(self, t_ns: int) -> RateController:
-        """Return the controller; without a nominal set, the first good one takes its place."""
+        """Return the controller; the first usable set replaces a missing nominal one."""
         if self._controller is None:
             newest, why = self._source.newest(t_ns), self._source.refusal(t_ns)
             if newest is None or why:
@@ -184,19 +184,19 @@ class ControllerExample(Node):
     def _report(
         self, header: Header, line: str, why: str, controller: RateController | None = None
     ) -> None:
-        """Say what the loop flies on: when it changes in the log, and on /diagnostics."""
+        """Report the coefficients in use: changes in the log, and all on /diagnostics."""
         line += f": {why}" if why else ""
         t_ns = stamp_ns(header.stamp)
-        said = without_numbers(line)
+        report = without_numbers(line)
         last_ns, logged = self._reported
-        news = said != logged
-        if not news and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
+        changed = report != logged
+        if not changed and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
             return
-        if news and why:
+        if changed and why:
             self.get_logger().warning(line)
-        elif news:
+        elif changed:
             self.get_logger().info(line)
-        self._reported = (t_ns, said)
+        self._reported = (t_ns, report)
         values = [] if controller is None else measured(controller)
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if why else DiagnosticStatus.OK,
@@ -208,7 +208,7 @@ class ControllerExample(Node):
 
 
 def summary(effect: Effect) -> tuple[str, str]:
-    """Return whose coefficients are flown on, and why not the identified ones on which axis."""
+    """Return the source of the coefficients in use, and why axes do not use identified ones."""
     groups: dict[str, list[str]] = {}
     reasons: dict[str, list[str]] = {}
     for axis, source, reason in zip(AXES, effect.sources, effect.reasons, strict=True):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The first five minutes: the node on a recorded flight, live, and then its report.
+"""The demonstration: the node on a recorded flight, live, and then its report.
 
-The node runs as a process of its own, in a ROS domain of its own. The flight is played to it
-over DDS with /clock, and what it publishes is shown as `monitor` shows it. `replay` then gives
-the same computation its score, its picture and its report.
+The node is a process of its own, in a ROS domain of its own. The flight is played to it over DDS
+with /clock, and its outputs are shown as in `monitor`. `replay` then repeats the computation, with
+score, picture and report.
 """
 
 import argparse
@@ -40,20 +40,20 @@ FAILED = 1
 
 DEFAULT_BAG = shared("bags/c172p")
 DEFAULT_SPEED = 2.0
-"""The 75 s of the default flight then take well under a minute."""
+"""Playing speed relative to real time: the 75 s of the default flight take under a minute."""
 
 BLOCK_EVERY = 5.0
-"""Seconds between two blocks of text where there is no terminal."""
+"""Seconds between two blocks of text without a terminal."""
 
 
 def running_node(inputs: Inputs, parameter_file: Path | None, log: Path) -> NodeProcess:
-    """Run the node for a flight."""
+    """Start the node with the settings of a flight."""
     settings, streams = inputs.settings, inputs.streams
     return NodeProcess(
         "uav_ident_ros.node",
         log,
         {
-            # a recorded flight must neither start from the vehicle's state file nor end up in it
+            # a recorded flight must neither read nor write the vehicle's state file
             "state_file": "none",
             "use_sim_time": True,
             "imu.type": settings.imu.type,
@@ -98,7 +98,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def run_demo(options: argparse.Namespace) -> int:
-    """Play and show a flight, then report on it; return the exit status."""
+    """Play a flight, show it and write its report; return the exit status."""
     beside = options.bag / "identifier.yaml"
     file = options.params_file or (beside if beside.is_file() else None)
     with Bag(options.bag) as bag:
@@ -128,12 +128,12 @@ def run_demo(options: argparse.Namespace) -> int:
 
 
 def play(
-    node: NodeProcess,  # It is ended with the flight
+    node: NodeProcess,  # Ended after the flight
     topics: dict[str, type],  # Message classes
     messages: list[Message],  # Of these topics, in log-time order
     speed: float,  # Times real time
 ) -> bool:
-    """Play a flight to a node and show what it publishes; return whether it published."""
+    """Play a flight to a node and show its outputs; return whether there were any."""
     ending = Ending()
     with contextlib.ExitStack() as open_:
         open_.callback(ending.restore)

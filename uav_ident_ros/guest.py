@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Listening to others: a node for tools that do, and a /clock that waits for their answers."""
+"""Parts of the tools that observe other nodes: a node, and a /clock in step with their answers."""
 
 import time
 from collections.abc import Callable
@@ -12,62 +12,62 @@ from rosgraph_msgs.msg import Clock
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.ros import to_stamp
 
-LOOK_EVERY = 0.02
-"""Seconds between two looks at a condition, and without an answer until /clock goes on a step."""
+POLL_PERIOD = 0.02
+"""Period for checks of a condition, and of the steps of /clock without an answer, s."""
 
 CLOCK_AHEAD_NS = 100_000_000
-"""How far /clock may get ahead of the messages that way, ns: two periods of the node's timer."""
+"""Largest lead of /clock over unanswered messages, ns: two periods of the node's timer."""
 
 STUCK_AFTER = 1.0
-"""Seconds without an answer after which /clock may get ahead by another period of that timer: on a
-busy machine the timer may have fired at the furthest time, before the messages were looked at."""
+"""Time without an answer for which the lead may grow by another period of that timer, s: on a busy
+machine the timer may have fired at the largest lead, before the node processed the messages."""
 
 
 def listen(executor: Executor, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-    """Listen for a while, or until a condition holds; return whether it does."""
+    """Spin for a time or until a condition holds; return whether it holds."""
     end = time.monotonic() + seconds
     while not until():
         left = end - time.monotonic()
         if left <= 0.0:
             return False
-        executor.spin_once(timeout_sec=min(left, LOOK_EVERY))
+        executor.spin_once(timeout_sec=min(left, POLL_PERIOD))
     return True
 
 
 class StepClock:
-    """The time of a flight that is played to a node with a timer, on /clock if that is wanted."""
+    """Time of a flight that is played to a node with a timer; published on /clock on request."""
 
     def __init__(
         self,
-        node: Node,  # Who publishes it
-        executor: Executor,  # Who listens for it
-        period_ns: int,  # Of its steps, ns
+        node: Node,  # Publisher of /clock
+        executor: Executor,  # Executor of the node
+        period_ns: int,  # Step of /clock, ns
         published: bool,
     ) -> None:
         self._executor, self._period_ns, self._ns = executor, period_ns, 0
         self.publisher = node.create_publisher(Clock, "/clock", 50) if published else None
 
     def send(self, t_ns: int) -> bool:
-        """Publish a time, even one before the last; return whether it is."""
+        """Publish a time; return whether it is earlier than the last one."""
         before, self._ns = self._ns, t_ns
         if self.publisher is not None:
             self.publisher.publish(Clock(clock=to_stamp(t_ns)))
         return t_ns < before
 
     def advance(self, t_ns: int | None = None) -> None:
-        """Publish a time, by default that of the next step, if it is later than the last."""
+        """Publish a time, by default that of the next step, if it is later than the last one."""
         t_ns = self._ns + self._period_ns if t_ns is None else t_ns
         if t_ns > self._ns:
             self.send(t_ns)
 
     def wait(self, answered: Callable[[], bool], t_ns: int, patience: float) -> bool:
-        """Listen for the answer to what was played until `t_ns`; return whether it came.
+        """Spin until the answer to the messages up to `t_ns` arrives; return whether it did.
 
-        The node may have seen /clock pass before the messages that came with it, and then its timer
-        waits for the next step of /clock: after a while it gets one.
+        The node may receive a step of /clock before the messages of that time. Its timer then needs
+        another step: without an answer /clock therefore advances.
         """
         begun = time.monotonic()
-        while not listen(self._executor, LOOK_EVERY, answered):
+        while not listen(self._executor, POLL_PERIOD, answered):
             waited = time.monotonic() - begun
             if waited > patience:
                 return False
@@ -77,12 +77,12 @@ class StepClock:
 
 
 class Guest:
-    """A node in a context of its own: without signal handlers Ctrl-C stays a KeyboardInterrupt."""
+    """A node in its own context, without signal handlers: Ctrl-C remains a KeyboardInterrupt."""
 
     def __init__(
         self,
         name: str,
-        ending: Ending | None = None,  # Takes the signals, where others must not be interrupted
+        ending: Ending | None = None,  # Recorder of signals, if none may interrupt the program
     ) -> None:
         self._ending = ending
         context = Context()
@@ -95,21 +95,21 @@ class Guest:
         self._executor.add_node(self.node)
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Remove the node from the graph."""
         self._executor.shutdown()
         self.node.destroy_node()
         self.node.context.try_shutdown()
 
     def spin_for(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Listen for a while, or until a condition holds; return whether it does.
+        """Spin for a time or until a condition holds; return whether it holds.
 
-        A signal interrupts it here, and not in the middle of the middleware's work.
+        After a signal it raises KeyboardInterrupt, between two calls of the middleware.
         """
-        holds = listen(self._executor, seconds, lambda: self.called_off() or until())
-        if self.called_off():
+        holds = listen(self._executor, seconds, lambda: self.end_requested() or until())
+        if self.end_requested():
             raise KeyboardInterrupt
         return holds
 
-    def called_off(self) -> bool:
-        """Whether a signal asks for the end."""
+    def end_requested(self) -> bool:
+        """Return whether a signal has requested the end."""
         return self._ending is not None and self._ending.requested

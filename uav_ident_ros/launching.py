@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files share: arguments, nodes, and an end with a status when one fails."""
+"""Common parts of the launch files: arguments, nodes, and an end with status 1 on a failure."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PACKAGE = "uav_ident_ros"
 
 
 class LaunchError(Exception):
-    """Why a launch cannot go on: launch says it, ends all processes, and its own status is 1."""
+    """Failure of a launch: launch prints it, ends all processes and exits with status 1."""
 
 
 def in_config(*parts: str) -> PathJoinSubstitution:
@@ -47,7 +47,7 @@ def flag(name: str, description: str, default: str = "false") -> DeclareLaunchAr
 
 
 def common_arguments(params_file: PathJoinSubstitution) -> list[DeclareLaunchArgument]:
-    """Return the arguments that `node` reads: parameter file, namespace, level of the log."""
+    """Return the arguments of every `node`: parameter file, namespace, log level."""
     levels = ["debug", "info", "warn", "error", "fatal"]
     return [
         argument(
@@ -61,18 +61,18 @@ def common_arguments(params_file: PathJoinSubstitution) -> list[DeclareLaunchArg
 
 
 def topic_arguments(prefix: str = "") -> list[DeclareLaunchArgument]:
-    """Return an argument for the topic of each input; its default is the input's name."""
+    """Return a topic argument for each input, by default the input's name."""
     arguments = []
     for stream in STREAMS:
-        words = f"Topic of the input {stream.topic}"
+        text = f"Topic of the input {stream.topic}"
         if stream.optional and stream.setting:
-            words += f"; it is read if the parameter {stream.setting} names its type"
-        arguments.append(argument(_topic_argument(stream.topic), words, prefix + stream.topic))
+            text += f"; it is read if the parameter {stream.setting} names its type"
+        arguments.append(argument(_topic_argument(stream.topic), text, prefix + stream.topic))
     return arguments
 
 
 def remappings() -> list[tuple[str, LaunchConfiguration]]:
-    """Return each input with the argument that names its topic."""
+    """Return each input's name with its topic argument."""
     return [(s.topic, LaunchConfiguration(_topic_argument(s.topic))) for s in STREAMS]
 
 
@@ -81,7 +81,7 @@ def _topic_argument(topic: str) -> str:
 
 
 def node(executable: str, name: str, parameters: dict[str, Any], **options: Any) -> Node:
-    """Return a node of this package; its parameters win over those of the parameter file."""
+    """Return a node of this package; its parameters override those of the parameter file."""
     return Node(
         package=PACKAGE,
         executable=executable,
@@ -96,10 +96,10 @@ def node(executable: str, name: str, parameters: dict[str, Any], **options: Any)
 
 
 def files_exist(*arguments: str) -> OpaqueFunction:
-    """Return an action that ends the launch if a launch argument names no file or folder.
+    """Return an action that ends the launch if the path in an argument does not exist.
 
-    It has to stand before the processes: launch forgets those that were started before an
-    error in the same description. launch_ros itself goes on without a missing parameter file.
+    The action must precede the processes: launch does not end those started before an error in the
+    same description. launch_ros itself ignores a missing parameter file.
     """
 
     def check(context: LaunchContext) -> None:
@@ -114,8 +114,8 @@ def files_exist(*arguments: str) -> OpaqueFunction:
 
 
 def fails_with(
-    *processes: Action,  # Those that are watched
-    # Launch argument that says whether they are started again instead: not what was started wrongly
+    *processes: Action,  # The processes to watch
+    # Launch argument that restarts them instead, except after a usage error
     respawn: str | None = None,
 ) -> list[RegisterEventHandler]:
     """Return the handlers that end the launch, with status 1, if one of its processes fails."""

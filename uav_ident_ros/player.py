@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Play recorded messages to a running node over DDS, and collect what it publishes.
+"""Play recorded messages to a running node over DDS, and collect its outputs.
 
-`ros2 bag play` does the same for a pilot; this one is for the demonstration and the tests. It
-can hold the recording back until the node has answered, so that nothing is ever lost and the
-speed is whatever the machine gives.
+The demonstration and the tests use it in place of `ros2 bag play`. In step with the node, it waits
+for the node's outputs: no message is lost, and the machine sets the speed.
 """
 
 import math
@@ -19,40 +18,40 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.bags.reading import Message
-from uav_ident_ros.guest import CLOCK_AHEAD_NS, LOOK_EVERY, Guest, StepClock
+from uav_ident_ros.guest import CLOCK_AHEAD_NS, POLL_PERIOD, Guest, StepClock
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.ros import latched
 
 CLOCK_PERIOD_NS = 10_000_000
-"""Interval of /clock, ns: 100 Hz, so that stamps on arrival are good to 10 ms."""
+"""Period of /clock, ns: at 100 Hz stamps on arrival are within 10 ms."""
 
 ANSWER_WITHIN_NS = 200_000_000
-"""In step with the node: after t is played, the output of t less this is waited for, ns."""
+"""In step with the node: largest lag of its outputs behind the played messages, ns."""
 
 CALL_AGAIN_AFTER = 1.0
-"""Seconds without an answer after which a service call is repeated."""
+"""Time without an answer after which a service call is repeated, s."""
 
 PATIENCE = 60.0
-"""Seconds after which an answer is missed; a busy machine may need them."""
+"""Longest wait for an answer, s, sufficient on a busy machine."""
 
 SETTLE = 0.3
-"""Seconds for what takes no longer on any machine, and cannot be asked for."""
+"""Time for deliveries that cannot be observed, s, sufficient on any machine."""
 
 START_UP_NS = 500_000_000
-"""Recording time in which the node's first outputs are not waited for yet, ns."""
+"""Initial recording time without waiting for outputs, ns."""
 
 DEPTH = 1000
-"""Depth of every queue of the player: more than it ever sends ahead."""
+"""Depth of every queue of the player, larger than the number of unanswered messages."""
 
 
 class PlayerError(Exception):
-    """The node did not appear, or did not answer; the message says what was waited for."""
+    """The node did not appear or answer in time; the message names the missing answer."""
 
 
 @dataclass
 class Outputs:
-    """What a node published, in the order of arrival."""
+    """Outputs of a node, in the order of arrival."""
 
     named: list[JointState] = field(default_factory=list)
     coefficients: list[Float64MultiArray] = field(default_factory=list)
@@ -66,18 +65,18 @@ class Outputs:
         return header_ns(self.named[-1]) if self.named else 0
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Discard all outputs."""
         for received in vars(self).values():
             received.clear()
 
 
 class Player(Guest):
-    """Publishes recorded messages and /clock, and listens to the node."""
+    """Publisher of recorded messages and /clock, and subscriber of the node's outputs."""
 
     def __init__(
         self,
         topics: dict[str, type],  # Topics to publish and their message classes
-        node_name: str = "/identifier",  # Full name of the node that listens
+        node_name: str = "/identifier",  # Full name of the receiving node
         clock: bool = True,  # Whether to publish /clock
         ending: Ending | None = None,  # As in `Guest`
     ) -> None:
@@ -102,12 +101,12 @@ class Player(Guest):
     def wait_until(
         self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE
     ) -> None:
-        """Listen until `condition` holds; a PlayerError says `what` was waited for in vain."""
+        """Spin until `condition` holds; a PlayerError on a timeout names `what` is missing."""
         if not self.spin_for(timeout, condition):
             raise PlayerError(f"waited {timeout:g} s in vain for {what}")
 
     def node_is_there(self) -> bool:
-        """Whether the node listens to everything and offers its outputs."""
+        """Return whether the node subscribes to all topics and publishes its outputs."""
         publishers = [*self._publishers.values()]
         if self._clock.publisher is not None:
             publishers.append(self._clock.publisher)
@@ -117,20 +116,20 @@ class Player(Guest):
         )
 
     def wait_for_node(self) -> None:
-        """Listen until the node hears this player and this player hears the node."""
+        """Spin until the node and this player have discovered each other."""
         self.wait_until(
             self.node_is_there,
             f"node '{self._node_name}' to subscribe to {', '.join(self._publishers)}"
             + (" and /clock" if self._clock.publisher else ""),
         )
-        self._wait_for_answer_to_a_call()
+        self._wait_for_service()
         self.spin_for(SETTLE)
 
-    def _wait_for_answer_to_a_call(self) -> None:
-        """Listen until the node answers a service.
+    def _wait_for_service(self) -> None:
+        """Spin until the node answers a service.
 
-        That the player knows the node does not mean that the node knows the player yet, and
-        until then it hears nothing.
+        Discovery is one-sided at first: a node that the player has discovered may not receive its
+        messages yet.
         """
         client = self.node.create_client(ListParameters, f"{self._node_name}/list_parameters")
         end = time.monotonic() + PATIENCE
@@ -148,29 +147,29 @@ class Player(Guest):
         self._publishers[topic].publish(data)
 
     def send_clock(self, t_ns: int) -> bool:
-        """Publish a time on /clock, even one before the last; return whether it is."""
+        """Publish a time on /clock; return whether it is earlier than the last one."""
         return self._clock.send(t_ns)
 
     def play(
         self,
         messages: Sequence[Message],  # In log-time order
         *,
-        speed: float = 1.0,  # Times real time; inf for as fast as the node answers
-        # Called with the log time (ns) about every 10 ms of it
+        speed: float = 1.0,  # Times real time; inf for the node's speed
+        # Called with the log time (ns), in steps of about 10 ms
         on_time: Callable[[int], None] = lambda t_ns: None,
-        # Whether to wait for the node where it does not keep up, so that a busy machine plays
-        # slower and loses nothing
+        # Whether to wait for a node that lags: a busy machine then plays slower and loses no
+        # message
         in_step: bool = False,
-        start_up_ns: int = START_UP_NS,  # Of it, in which no output is waited for
+        start_up_ns: int = START_UP_NS,  # Initial log time without waiting for outputs
     ) -> float:
-        """Play in log-time order; between messages /clock goes on in its own steps.
+        """Play messages in log-time order, with the steps of /clock between them.
 
-        Returns how late /clock was, rms, s: what a busy machine adds to the stamps on arrival.
+        Returns the rms delay of /clock, s: the error of stamps on arrival by a busy machine.
         """
         start_ns, start = messages[0].log_ns, time.monotonic()
         late: list[float] = []
         clock_ns, awaited_ns = start_ns, start_ns + start_up_ns
-        if self.send_clock(clock_ns):  # which must arrive before the messages
+        if self.send_clock(clock_ns):  # a jump back must arrive before the messages
             self.spin_for(SETTLE)
         for message in messages:
             while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
@@ -187,10 +186,10 @@ class Player(Guest):
         return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
 
     def play_in_step(self, messages: Sequence[Message]) -> None:
-        """Play as fast as the node answers, so that no message can be lost; forget what it said.
+        """Discard earlier outputs and play at the node's speed, without loss of messages.
 
-        What goes on where the node's last output was is in step from the start: a run of excitation
-        would be aborted where /clock gets half a second ahead of the messages.
+        Messages that continue from the last output are in step from the start: /clock half a second
+        ahead of the messages would abort a run of excitation.
         """
         goes_on = 0 <= messages[0].log_ns - self.outputs.newest_ns < START_UP_NS
         self.outputs.clear()
@@ -198,11 +197,11 @@ class Player(Guest):
         self.play(messages, speed=math.inf, in_step=True, start_up_ns=start_up_ns)
 
     def _keep_in_step(self, t_ns: int, start_ns: int, awaited_ns: int) -> None:
-        """Listen, and before `t_ns` is played wait for the output of a moment ago."""
+        """Spin, and wait for the output of `ANSWER_WITHIN_NS` before `t_ns`."""
         self._executor.spin_once(timeout_sec=0.0)
         wanted_ns = t_ns - ANSWER_WITHIN_NS
         if wanted_ns >= awaited_ns and not self._clock.wait(
-            lambda: self.called_off() or self.outputs.newest_ns >= wanted_ns, t_ns, PATIENCE
+            lambda: self.end_requested() or self.outputs.newest_ns >= wanted_ns, t_ns, PATIENCE
         ):
             raise PlayerError(
                 f"waited {PATIENCE:g} s in vain for the output of "
@@ -210,12 +209,12 @@ class Player(Guest):
             )
 
     def _flush(self) -> None:
-        """Let the node's timer fire once more, and its last outputs arrive."""
+        """Advance /clock until the node's last outputs have arrived."""
         for _ in range(CLOCK_AHEAD_NS // CLOCK_PERIOD_NS):
             self._clock.advance()
-            self.spin_for(LOOK_EVERY)
+            self.spin_for(POLL_PERIOD)
         self.spin_for(SETTLE)
-        # A busy node may have seen all of these steps before the last messages.
+        # A busy node may have received all of these steps before the last messages.
         newest_ns = None
         while newest_ns != self.outputs.newest_ns:
             newest_ns = self.outputs.newest_ns

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node as a process of its own, and a ROS domain for a program and its children."""
+"""A node in a separate process, and a ROS domain for a program and its children."""
 
 import os
 import secrets
@@ -12,17 +12,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 HIGHEST_DOMAIN = 101
-"""Highest ROS domain whose ports are free of the system's ephemeral ones."""
+"""Highest ROS domain with ports below the system's ephemeral ones."""
 
 CLAIM = "\0uav_ident_ros/domain/{}"
-"""Abstract socket that stands for a domain: it belongs to one process and ends with it."""
+"""Abstract socket that reserves a domain; one process owns it, and its end releases it."""
 
 
 @contextmanager
 def own_domain() -> Iterator[int]:
-    """Keep the traffic of this process and its children to this machine and one domain.
+    """Restrict the traffic of this process and its children to this machine and one domain.
 
-    Yields the domain: one that no other such process of this machine has.
+    Yields the domain, which no other such process of this machine uses.
     """
     with _claimed() as chosen:
         own = {"ROS_DOMAIN_ID": str(chosen), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
@@ -40,7 +40,7 @@ def own_domain() -> Iterator[int]:
 
 @contextmanager
 def _claimed() -> Iterator[int]:
-    """Yield a domain and hold it; a random one first, so that searches do not queue up."""
+    """Reserve a domain and yield it; the search starts at random, to avoid collisions."""
     first = secrets.randbelow(HIGHEST_DOMAIN)
     for offset in range(HIGHEST_DOMAIN):
         domain = 1 + (first + offset) % HIGHEST_DOMAIN
@@ -58,21 +58,21 @@ def _claimed() -> Iterator[int]:
 
 
 END_TIME = 30.0
-"""Seconds that a process may take to end, on a busy machine too."""
+"""Longest time for a process to end, s, sufficient on a busy machine."""
 
 
 class NodeProcess(subprocess.Popen[bytes]):
-    """A running node; as a context manager it is ended in any case."""
+    """A running node; as a context manager it ends the process in any case."""
 
     def __init__(
         self,
-        module: str,  # What it runs
-        log: Path,  # Where its output goes, behind what is there
-        parameters: Mapping[str, object],  # By name, as YAML; they count for more than the file's
+        module: str,  # Python module of the node
+        log: Path,  # File to which its output is appended
+        parameters: Mapping[str, object],  # By name, as YAML; they override those of the file
         *,
         file: Path | None = None,  # Parameter file
-        remappings: Mapping[str, str] | None = None,  # Topics by their names in the node
-        home: Path | None = None,  # For what nodes keep, in place of ROS's
+        remappings: Mapping[str, str] | None = None,  # Topics, by their names in the node
+        home: Path | None = None,  # Folder for the files of nodes, in place of ROS's
     ) -> None:
         self.log_file = log
         command = [sys.executable, "-m", module, "--ros-args"]
@@ -91,11 +91,11 @@ class NodeProcess(subprocess.Popen[bytes]):
 
     @property
     def log(self) -> str:
-        """Everything that it has printed so far."""
+        """Return the output up to now."""
         return self.log_file.read_text(encoding="utf-8", errors="replace")
 
     def end(self, number: int = signal.SIGINT) -> int:
-        """Ask it to end, kill it if it does not; return the exit status."""
+        """Send a signal, and SIGKILL after `END_TIME`; return the exit status."""
         if self.poll() is None:
             self.send_signal(number)
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every ROS node here needs: stamps from nanoseconds, and latched topics."""
+"""Common parts of the ROS nodes: stamps from nanoseconds, and latched topics."""
 
 from builtin_interfaces.msg import Time
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -10,7 +10,7 @@ RELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 
 def latched(depth: int) -> QoSProfile:
-    """Return the profile with which a late subscriber gets the last messages at once."""
+    """Return the QoS profile of latched topics: a late subscriber receives the last messages."""
     return QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE,

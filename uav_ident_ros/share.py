@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where `config/` and `bags/` are: in the sources, or in share/ of an installation."""
+"""Paths of `config/` and `bags/`, in the sources or in share/ of an installation."""
 
 from pathlib import Path
 
@@ -12,11 +12,11 @@ def shared(name: str) -> Path:
     Raises
     ------
     FileNotFoundError
-        If it is neither in the sources nor installed.
+        If the path is neither in the sources nor installed.
     """
     here = Path(__file__).resolve()
-    # beside the package in the sources; PREFIX/lib/python3.12/site-packages/uav_ident_ros in
-    # an installation, with colcon's links too
+    # in the sources beside the package; in an installation, colcon's links included, from
+    # PREFIX/lib/python3.12/site-packages/uav_ident_ros
     folders = [here.parents[1], *(top / "share" / PACKAGE for top in Path(__file__).parents)]
     for folder in folders:
         if (folder / name).exists():
