@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warn where an input has less effect than its coefficient, or the opposite one; move nothing.
+"""Warn of an input with less effect than its coefficient, or a reversed one; command nothing.
 
 ``python3 examples/effectiveness_monitor.py --ros-args -p trim:="[0.07, 0.0, 0.0, 0.7]"``
 """
@@ -18,13 +18,13 @@ from uav_ident_ros.control.choice import control_derivatives
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 AXES = ("roll", "pitch", "yaw")
-WEAK = 0.6  # of the effect believed
+WEAK = 0.6  # of the estimated effect
 SIGMAS = 3.0
 PERIOD = 2.0  # between warnings, s
 
 
 class EffectivenessMonitor(Node):
-    """Listens to gyro, actuators and coefficients."""
+    """Node that subscribes to gyro, actuators and coefficients."""
 
     def __init__(self) -> None:
         super().__init__("effectiveness_monitor")
@@ -37,17 +37,17 @@ class EffectivenessMonitor(Node):
         self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
 
     def on_actuators(self, message: JointState) -> None:
-        """Take elevator, rudder, aileron and throttle."""
+        """Store elevator, rudder, aileron and throttle."""
         self.acting = np.array(message.position) - self.trim
 
     def on_imu(self, message: Imu) -> None:
-        """Take a sample."""
+        """Compare the measured effect of the inputs with the coefficients."""
         t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
         try:
             model = self.source.model(t_ns)
         except Refusal:
-            return  # nothing is known yet
+            return  # no coefficients or inputs yet
         if not 0.0 < dt < 0.1:
             self.response.restart()
             self.measured.restart()
@@ -67,7 +67,7 @@ class EffectivenessMonitor(Node):
 
 
 def warnings(measured: Effectiveness) -> list[str]:
-    """Return what is to be said of the axes."""
+    """Return the warnings of all axes."""
     lines = []
     for i, axis in enumerate(AXES):
         factor, sigma = measured.since[i], measured.since_sigma[i]

@@ -12,7 +12,7 @@ SHOWN = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
 
 
 def row(summary: Path) -> str:
-    """Return one flight as a line."""
+    """Return the row of one flight."""
     content = json.loads(summary.read_text(encoding="utf-8"))
     coefficients = content["coefficients"]
     cells = [

@@ -19,7 +19,7 @@ from uav_ident_ros.control import AxisChoice, Effectiveness, IncrementalLaw, Res
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 LIMITS = np.array([[-0.4, -0.25, -0.25, 0.0], [0.4, 0.25, 0.25, 0.0]])  # de dr da dth, from trim
-DELAY_NS = 20_000_000  # from a sample to the surface that its command moves
+DELAY_NS = 20_000_000  # from a sample to the action of its command
 
 Vector = NDArray[np.float64]
 
@@ -32,10 +32,10 @@ class Indi(Node):
         nominal = Coefficients.from_file(self.declare_parameter("nominal_file", "").value)
         self.source = CoefficientSource(Fallback.LAST_GOOD, nominal)
         subscribe(self, self.source)
-        self.choice = AxisChoice(self.source, nominal, LIMITS)  # whose derivatives, axis by axis
+        self.choice = AxisChoice(self.source, nominal, LIMITS)  # source of each axis's model
         self.law = IncrementalLaw(LIMITS, self.choice.scale)
-        self.response = Response()  # what the inputs are answered with
-        self.measured = Effectiveness()  # turns and rescales an axis that answers otherwise
+        self.response = Response()  # measured response to the inputs
+        self.measured = Effectiveness()  # corrects sign and size of an axis's effect
         self.sent: History[tuple[Vector, Vector]] = History()  # inputs and reference
         self.reference = np.zeros(3)
         self.last_ns = 0
@@ -44,15 +44,15 @@ class Indi(Node):
         self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
 
     def on_reference(self, message: Vector3Stamped) -> None:
-        """Take a reference."""
+        """Store the reference."""
         self.reference = np.array([message.vector.x, message.vector.y, message.vector.z])
 
     def on_imu(self, message: Imu) -> None:
-        """Answer a sample."""
+        """Publish the command to a sample."""
         t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
-        if not np.isfinite(x - self.reference).all():  # the surfaces stay where they are
+        if not np.isfinite(x - self.reference).all():  # hold the surfaces
             return
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
         acting, led = self.sent.at(t_ns - DELAY_NS) or (np.zeros(4), self.reference)

@@ -21,7 +21,7 @@ from uav_ident_ros.control.choice import control_derivatives
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 LIMITS = np.array([[-0.4, -0.25, -0.25, 0.0], [0.4, 0.25, 0.25, 0.0]])  # de dr da dth, from trim
-DELAY_NS = 20_000_000  # from a sample to the surface that its command moves
+DELAY_NS = 20_000_000  # from a sample to the action of its command
 
 
 class Inversion(Node):
@@ -41,17 +41,17 @@ class Inversion(Node):
         self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
 
     def on_reference(self, message: Vector3Stamped) -> None:
-        """Take a reference."""
+        """Store the reference."""
         self.reference = np.array([message.vector.x, message.vector.y, message.vector.z])
 
     def on_imu(self, message: Imu) -> None:
-        """Answer a sample."""
+        """Publish the command to a sample."""
         t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
-        if not np.isfinite(x - self.reference).all():  # the surfaces stay where they are
+        if not np.isfinite(x - self.reference).all():  # hold the surfaces
             return
-        model = self.source.model(t_ns)  # identified, or the last good set, or the nominal one
+        model = self.source.model(t_ns)  # the identified, last good or nominal set
         effect = control_derivatives(model)[0]
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
         if not 0.0 < dt < 0.1:  # the first sample, or a gap

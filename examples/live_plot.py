@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw one coefficient with its band while the node runs, by matplotlib.
+"""Plot one coefficient with its band while the node runs, with matplotlib.
 
-With ``--save FILE`` nothing is shown: the picture of the first ``--seconds`` goes into the file.
+``--save FILE`` saves the plot of the first ``--seconds`` in place of a window.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BAND = 2.0
 
 
 class History(Node):
-    """Keeps time, value and standard deviation of one coefficient."""
+    """Time, value and standard deviation of one coefficient."""
 
     def __init__(self, topic: str, name: str) -> None:
         super().__init__("live_plot")
@@ -34,7 +34,7 @@ class History(Node):
 
     @property
     def duration(self) -> float:
-        """Message time covered, s."""
+        """Recorded message time, s."""
         return self.t[-1] - self.t[0] if self.t else 0.0
 
     def _take(self, message: JointState) -> None:
@@ -45,7 +45,7 @@ class History(Node):
 
 
 def draw(axes: Any, history: History, name: str) -> None:
-    """Draw what there is."""
+    """Plot the recorded values."""
     t, value, sigma = map(np.array, (history.t, history.value, history.sigma))
     axes.clear()
     if len(t):
@@ -56,7 +56,7 @@ def draw(axes: Any, history: History, name: str) -> None:
 
 
 def main() -> None:
-    """Draw until the window is closed, or save one picture."""
+    """Plot until the window is closed, or save one plot."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--topic", default="/identifier/coefficients_named")
     parser.add_argument("--name", default="pdot/da", help="coefficient (pdot/da)")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An optimal rate regulator on `model.linearize`, designed anew when the coefficients move.
+"""An optimal rate regulator on `model.linearize`, redesigned every second.
 
 ``python3 examples/lqr.py --ros-args -p nominal_file:=coefficients.yaml``
 """
@@ -19,23 +19,23 @@ from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, Refu
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 SURFACES = [0, 1, 2]  # de dr da
 LARGEST = np.array([0.4, 0.25, 0.25])  # of de dr da from trim, rad
-STATE_WEIGHT = np.diag([1.0, 1.0, 1.0]) / 0.1**2  # an error of 0.1 rad/s is worth ...
-INPUT_WEIGHT = np.diag(1.0 / (0.3 * LARGEST) ** 2)  # ... a third of the travel
+STATE_WEIGHT = np.diag([1.0, 1.0, 1.0]) / 0.1**2  # an error of 0.1 rad/s costs as much ...
+INPUT_WEIGHT = np.diag(1.0 / (0.3 * LARGEST) ** 2)  # ... as 0.3 of the travel
 STEP = 0.02  # s
 
 Matrix = NDArray[np.float64]
 
 
 def lqr_gain(a: Matrix, b: Matrix, q: Matrix, r: Matrix) -> Matrix:
-    """Return K of ``u = -K x`` that minimises the integral of ``x'Qx + u'Ru``, sampled.
+    """Return K of ``u = -K x`` that minimises the integral of ``x'Qx + u'Ru``.
 
-    The Riccati equation of the model sampled every `STEP`, by iteration from Q.
+    It iterates the Riccati equation of the model sampled every `STEP`, from Q.
     """
     n, m = b.shape
     generator = np.zeros((n + m, n + m))
     generator[:n, :n], generator[:n, n:] = a, b
     term = transition = np.eye(n + m)
-    for order in range(1, 20):  # the exponential's series
+    for order in range(1, 20):  # series of the matrix exponential
         term = term @ generator * (STEP / order)
         transition = transition + term
     f, g = transition[:n, :n], transition[:n, n:]
@@ -64,28 +64,28 @@ class Lqr(Node):
         self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
 
     def on_reference(self, message: Vector3Stamped) -> None:
-        """Take a reference."""
+        """Store the reference."""
         self.reference = np.array([message.vector.x, message.vector.y, message.vector.z])
 
     def design(self, t_ns: int) -> None:
-        """Design a gain on the newest coefficients, once a second."""
+        """Compute the gain for the newest coefficients, once a second."""
         if self.designed_ns >= 0 and t_ns - self.designed_ns < 10**9:
             return
         try:
             a, b = self.source.model(t_ns).linearize(np.zeros(3), np.zeros(4))
-        except Refusal as refusal:  # a set from a file does not say where the aircraft flies
+        except Refusal as refusal:  # a set from a file has no flight condition
             self.get_logger().warning(f"waiting: {refusal}", throttle_duration_sec=5.0)
             return
-        # the rates alone: flow angles are slower, and what they do is left to the loop around
+        # the rates alone: flow angles are slower, and the outer loop corrects their effect
         self.gain = lqr_gain(a[:3, :3], b[:3, SURFACES], STATE_WEIGHT, INPUT_WEIGHT)
         self.designed_ns = t_ns
 
     def on_imu(self, message: Imu) -> None:
-        """Answer a sample."""
+        """Publish the command to a sample."""
         t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         w = message.angular_velocity
         x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
-        if not np.isfinite(x - self.reference).all():  # the surfaces stay where they are
+        if not np.isfinite(x - self.reference).all():  # hold the surfaces
             return
         self.design(t_ns)
         u = np.clip(-self.gain @ (x - self.reference), -LARGEST, LARGEST)

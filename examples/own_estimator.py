@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An estimator of your own: the instrumental variable, with a limit to each coefficient's step.
+"""A custom estimator: the instrumental variable with a limit on each coefficient's step.
 
-``python3 examples/own_estimator.py bags/c172p`` replays a bag with it, and without.
+``python3 examples/own_estimator.py bags/c172p`` replays a bag with and without it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.offline.run import run_over
 
 LARGEST_STEP = 0.003
-"""What a coefficient may move by in an update, standard deviations."""
+"""Largest step of a coefficient in an update, standard deviations."""
 
 
 class Gentle(RecursiveRegression):
-    """Moves no coefficient by more than a share of its sigma at once."""
+    """Instrumental variable with steps of at most `LARGEST_STEP` sigma."""
 
     def __init__(self, settings: Settings, start: Start) -> None:
         super().__init__(start, settings, instrumental=True)
@@ -33,7 +33,7 @@ class Gentle(RecursiveRegression):
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
-        """Learn as the instrumental variable does, and go there step by step."""
+        """Update as the instrumental variable does, with limited steps."""
         before = self.coefficients
         super().update(samples, rows, white, weight)
         largest = LARGEST_STEP * self.sigma
@@ -41,7 +41,7 @@ class Gentle(RecursiveRegression):
 
 
 def main(bag: Path) -> None:
-    """Compare the two."""
+    """Compare the scores with and without it."""
     values = load_parameters(bag / "identifier.yaml", "identifier")
     compared: dict[str, dict[str, Any]] = {"own": {"estimator": Gentle}, "without": {}}
     for words, parts in compared.items():

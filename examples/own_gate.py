@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gate of your own: learning pauses beyond a load factor, where a wing is not linear.
+"""A custom gate: learning pauses beyond a load factor, where a wing is not linear.
 
-``python3 examples/own_gate.py bags/c172p`` replays a bag with it, and without.
+``python3 examples/own_gate.py bags/c172p`` replays a bag with and without it.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from uav_ident_ros.identification.gates import Gate, Look
 from uav_ident_ros.offline.run import run_over
 
 LARGEST_LOAD = 1.3 * 9.80665
-"""Specific force along the Imu's z axis beyond which nothing is learned, m/s^2."""
+"""Specific force along the Imu's z axis above which the gate is closed, m/s^2."""
 
 
 def overloaded(look: Look) -> str:
-    """Return why to pause at a tick; empty if there is no reason."""
+    """Return the reason to pause at a tick; empty if there is none."""
     if not len(look.samples) or np.abs(look.samples[:, 5]).max() < LARGEST_LOAD:
         return ""
     return "the wing carries more than 1.3 g"
 
 
 GATE = Gate("load", setting="", check=overloaded)
-"""Its name, the setting that moves its threshold if there is one, and what it looks at."""
+"""Name, setting of the threshold (none), and predicate."""
 
 
 def main(bag: Path) -> None:
-    """Compare the two."""
+    """Compare the scores with and without it."""
     values = load_parameters(bag / "identifier.yaml", "identifier")
     compared: dict[str, dict[str, Any]] = {"own": {"gates": [GATE]}, "without": {}}
     for words, parts in compared.items():

@@ -16,7 +16,7 @@ REGRESSORS = ("pq", "qr", "pr", "pp", "rr", "p", "q", "r", "de", "dr", "da", "dt
 
 
 def predict(message: Any, rates: Sequence[float], u: Sequence[float], dt: float) -> list[float]:
-    """Return p, q, r, beta, alpha `dt` s after the message, from p, q, r now, with `u` held.
+    """Return p, q, r, beta, alpha `dt` s after the message, from the present p, q, r, at fixed `u`.
 
     `message` is a sensor_msgs/msg/JointState of structure flight_dynamics; rates in rad/s, FRD;
     `u` are de, dr, da, dth, deviations from trim.

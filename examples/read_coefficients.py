@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read ~/coefficients_named with rclpy and its message alone, without this package.
 
-The message is a JointState: `name`, `position` (value) and `effort` (standard deviation, 0 where a
-coefficient is fixed) run side by side. ``verdict/usable`` says whether a controller may act on it.
+The message is a JointState. `name`, `position` (value) and `effort` (standard deviation, 0 of a
+fixed coefficient) have the same order. ``verdict/usable`` is 1 if a controller may use the values.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""As the identifier publishes: the last message arrives at once."""
+"""QoS of the identifier's outputs: a late subscriber receives the last message."""
 
 
 def table(message: JointState) -> str:
-    """Return the coefficients as text, one a line, the verdict on top."""
+    """Return the coefficients as text, one in a line, below the verdict."""
     values = dict(zip(message.name, message.position, strict=True))
     usable = values["verdict/usable"] == 1.0
     lines = [f"{message.header.stamp.sec} s: {'usable' if usable else 'not usable'}"]
@@ -32,7 +32,7 @@ def table(message: JointState) -> str:
 
 
 def main() -> None:
-    """Print every message until interrupted, or the first alone."""
+    """Print every message until interrupted, or only the first."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--topic", default="/identifier/coefficients_named")
     parser.add_argument("--once", action="store_true", help="the newest message, then end")
