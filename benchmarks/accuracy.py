@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the estimators predict: ``python benchmarks/accuracy.py [--quick] [--only PATTERN]``.
+"""Prediction of the estimators: ``python benchmarks/accuracy.py [--quick] [--only PATTERN]``.
 
-Every estimator with every structure, one online pass over each flight of `FLIGHTS`, beside what
-benchmarks/README.md names. Scored is the 1-second prediction fit over the last 40 % of the flight,
-with the forces measured inside the window where a structure takes them.
+Every estimator with every structure makes one online pass over each flight of `FLIGHTS`, beside the
+references of benchmarks/README.md. The score is the 1-second prediction fit over the last 40 % of
+the flight, for structures with forces on the forces measured inside the window.
 """
 
 import fnmatch
@@ -52,13 +52,13 @@ CLIP = -50.0
 HEAD = ("structure", "method", "measured rates", "sd", "noise-free rates", "six, %")
 
 Cell = dict[str, Any]
-"""One method on one flight: which, its fits of p, q, r (percent; NaN where there is none), and the
-largest relative error of the dominant coefficients at the end (percent)."""
+"""Result of one method on one flight: names, fits of p, q, r (percent; NaN if missing), and largest
+relative error of the dominant coefficients at the end (percent)."""
 
 
 def _cell(case: cases.Case, structure: str, method: str, track: cases.Track) -> Cell:
     score = cases.score(case, track)
-    # What the offline fit minimises: the models here describe a second that has passed.
+    # The criterion of the offline fit: a prediction with the measured forces of a past second.
     fits = {"model": cases.given_force(score), "hold": score.hold, "truth": np.full(3, np.nan)}
     if isinstance(case.samples, Measurements):
         fits["truth"] = cases.given_force(cases.score(case, track, case.samples.true_rates))
@@ -100,7 +100,7 @@ def _run_structure(case: cases.Case, label: str, values: Mapping[str, object]) -
         yield _cell(case, label, estimator, track)
     yield from _run_adaptive(case, label, values)
     settings = case.settings(values)
-    # The online estimates as they stood where the fitted part ends: the better start counts.
+    # Start from the online estimates at the end of the fitted part; the better fit counts.
     starts = [t.coefficients[t.at(output_error.TRAINING_PART * t.time[-1])] for t in tracks[1:]]
     found = output_error.fit(case, settings, starts)
     yield _cell(case, label, "output error", tracks[0].constant(found))
@@ -108,7 +108,7 @@ def _run_structure(case: cases.Case, label: str, values: Mapping[str, object]) -
 
 def _run_adaptive(case: cases.Case, label: str, values: Mapping[str, object]) -> Iterator[Cell]:
     track, recorder = adaptive_filters.recorded(case, values)
-    ticks = len(track.t_ns) - len(recorder.y)  # the first ones have no regressors yet
+    ticks = len(track.t_ns) - len(recorder.y)  # the first ticks have no regressors
     methods = [("RLS", adaptive_filters.RLS_FORGETTING)]
     methods += [("NLMS", mu) for mu in adaptive_filters.NLMS_STEPS]
     for kind, mu in methods:
@@ -120,7 +120,7 @@ def _run_adaptive(case: cases.Case, label: str, values: Mapping[str, object]) ->
 
 
 def _jobs(only: str, quick: bool, seeds: int) -> Iterator[tuple[str, int | None]]:
-    """Yield the flights and their seeds; a recorded one has none."""
+    """Yield the flights with their seeds; None for a recorded one."""
     for name in fnmatch.filter(QUICK if quick else FLIGHTS, only):
         if name not in cases.RECORDED_DELAY:
             yield from ((name, seed) for seed in range(1, 1 + (1 if quick else seeds)))
@@ -134,7 +134,7 @@ Group = Sequence[Cell]
 
 
 def in_short(cells: Group) -> str:
-    """Say how the default and the reference did, in a line."""
+    """Return a line with the fits of the default and the reference."""
     parts = [
         f"{structure} {method} {_fits([cell['model'] for cell in group])}"
         for (structure, method), group in bench.grouped(cells, "structure", "method").items()
@@ -151,7 +151,7 @@ def _fits(fits: Sequence[Sequence[float]]) -> str:
 def report(cells: Group) -> Iterator[str]:
     """Yield a table of each flight, the averages, and the distance from the output-error fit."""
     every = bench.grouped(cells, "structure", "method")
-    # of the NLMS steps only the one that did best over all flights, for each structure
+    # for each structure only the NLMS step with the best fit over all flights
     best: dict[str, tuple[float, str]] = {}
     for (structure, method), group in every.items():
         if "NLMS" in method:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The adaptive filters of `padasip`, fed with the identifier's own filtered regressors."""
+"""The adaptive filters of `padasip` on the identifier's filtered regressors."""
 
 from collections.abc import Mapping
 
@@ -14,16 +14,16 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
 
 RLS_FORGETTING = 0.998
-"""Per update; at 20 Hz a time constant of 25 s, the usual choice."""
+"""Forgetting factor per update, a common choice: at 20 Hz a time constant of 25 s."""
 
 NLMS_STEPS = (0.01, 0.05, 0.2, 0.5)
-"""Step sizes tried: the best in hindsight is what is compared."""
+"""Step sizes; the best of them in hindsight is compared."""
 
 FILTERS = {"RLS": padasip.filters.FilterRLS, "NLMS": padasip.filters.FilterNLMS}
 
 
 class RegressionRecorder(RecursiveRegression):
-    """Keeps the samples in place of learning from them."""
+    """Estimator that records the samples and learns nothing."""
 
     def __init__(self, settings: Settings, start: Start) -> None:
         super().__init__(start, settings, instrumental=True)
@@ -33,13 +33,13 @@ class RegressionRecorder(RecursiveRegression):
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
-        """Keep the samples."""
+        """Record the samples."""
         self.y.extend(samples.y)
         self.f.extend(samples.f)
 
 
 def recorded(case: Case, values: Mapping[str, object]) -> tuple[Track, RegressionRecorder]:
-    """Run the identifier over a flight; return its ticks, and the samples to learn from."""
+    """Run the identifier over a flight; return its ticks and the recorded samples."""
     one: list[RegressionRecorder] = []
 
     def make(settings: Settings, start: Start) -> RegressionRecorder:
@@ -54,7 +54,7 @@ def run_filter(
     mu: float,  # Forgetting factor of RLS, step of NLMS
     recorder: RegressionRecorder,  # The data
 ) -> FloatArray:
-    """Coefficients after each update, shape (updates, 3, n)."""
+    """Return the coefficients after each update, shape (updates, 3, n)."""
     free = recorder.start.free
     out = np.zeros((len(recorder.y), *free.shape))
     for i, row in enumerate(free):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the benchmarks share: the repository, their options, jobs in parallel, figures on disk."""
+"""Common parts of the benchmarks: repository, options, parallel jobs, figures on disk."""
 
 import argparse
 import json
@@ -22,20 +22,20 @@ HELP = {
     "workers": "processes",
     "output": "where the figures go",
 }
-"""Options that several programs have, in words."""
+"""Help texts of common options."""
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 
 def parser(text: str | None, **options: Any) -> argparse.ArgumentParser:
-    """Return a parser with the program's docstring and options, given with their defaults."""
+    """Return a parser with the program's docstring and the options, with their defaults."""
     found = argparse.ArgumentParser(
         description=text, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     for name, default in options.items():
-        words = f"{HELP.get(name, name)} ({default})"
-        found.add_argument(f"--{name}", type=type(default), default=default, help=words)
+        description = f"{HELP.get(name, name)} ({default})"
+        found.add_argument(f"--{name}", type=type(default), default=default, help=description)
     return found
 
 
@@ -45,7 +45,7 @@ def done(
     workers: int,
     printed: Callable[[Result], object] = str,  # The line on a result
 ) -> list[Result]:
-    """Return the results of all jobs, by processes of their own; a line on each as it comes."""
+    """Run all jobs in processes of their own, print a line on each, return the results."""
     results = []
     with get_context("spawn").Pool(workers) as pool:
         for result in pool.imap(function, jobs):
@@ -57,7 +57,7 @@ def done(
 def grouped(
     results: Iterable[dict[str, Any]], *keys: str
 ) -> dict[tuple[Any, ...], list[dict[str, Any]]]:
-    """Return the results that are alike in some keys, by these, in the order of the first ones."""
+    """Return the results grouped by the values of some keys, in order of appearance."""
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for result in results:
         groups.setdefault(tuple(result[key] for key in keys), []).append(result)
@@ -65,15 +65,15 @@ def grouped(
 
 
 def resident_mb(pid: int | str = "self") -> float:
-    """Resident memory of a process, MiB."""
+    """Return the resident memory of a process, MiB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def peak_mb(pid: int | str = "self") -> float:
-    """Largest resident memory of a process so far, MiB; NaN once it has ended.
+    """Return the peak resident memory of a process, MiB; NaN once it has ended.
 
-    Not ru_maxrss: that begins with the memory of whoever forked it.
+    ru_maxrss does not serve: it includes the memory of the parent before the fork.
     """
     status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
     found = re.search(r"VmHWM:\s+(\d+) kB", status)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Monte Carlo campaigns: ``python benchmarks/campaigns.py NAME [--seeds N] [--quick]``.
 
-Each flies flights of `flights.yaml` with seeds 1 to N, identifies them in one online pass with
-the defaults, prints what came out with its spread, and keeps every figure in
+Each flies flights of `flights.yaml` with seeds 1 to N and identifies them in one online pass with
+the defaults. It prints the results with their spread, and writes every figure to
 ``build/campaign_NAME.json``.
 """
 
@@ -25,10 +25,10 @@ from uav_ident_ros.simulation.flight import Flight
 
 IV, LS = "instrumental_variable", "least_squares"
 EXCITATION_START = 2.0
-"""When the multisines of every flight here begin, s."""
+"""Start of the multisines of every flight, s."""
 
 WIDEST = "augmented"
-"""A structure that holds those of all plants here."""
+"""The structure that contains those of all plants here."""
 
 Result = dict[str, Any]
 Job = tuple[Any, ...]
@@ -39,7 +39,7 @@ def _line(result: Result) -> str:
 
 
 def _flown(job: Job, until: float = np.inf) -> tuple[Flight, cases.Track, Result]:
-    """Fly and identify a flight, seed, estimator, and structure if not the widest."""
+    """Fly and identify a job: flight, seed, estimator, and structure if not the widest."""
     name, seed, estimator, structure = (*job, WIDEST)[:4]
     case = cases.simulated(name, seed)
     track = cases.identify(case, {"estimator": estimator, "structure": structure}, until=until)
@@ -49,12 +49,12 @@ def _flown(job: Job, until: float = np.inf) -> tuple[Flight, cases.Track, Result
 
 
 def _methods() -> list[tuple[str, str]]:
-    """Estimators with the default structure, and with the plant's own, which has less to learn."""
+    """Return the estimators, with the default structure and with the plant's, which is smaller."""
     return [(IV, WIDEST), (IV, "throttle_coupled"), (LS, WIDEST)]
 
 
 def _groups(results: Sequence[Result], *keys: str) -> Iterator[tuple[str, list[Result]]]:
-    """Yield the results that are alike in some keys, with these in columns."""
+    """Yield the results grouped by some keys, with the values of the keys in columns."""
     groups: dict[str, list[Result]] = {}
     for result in results:
         groups.setdefault("".join(f"{result[key]:24}" for key in keys), []).append(result)
@@ -66,7 +66,7 @@ def _index(structure: Structure, names: Sequence[str]) -> tuple[Any, ...]:
 
 
 def _spread(values: Sequence[float]) -> str:
-    """Median and range."""
+    """Return median and range."""
     v = np.asarray(values, dtype=float)
     return f"median {np.median(v):.2f}, {v.min():.2f} to {v.max():.2f}"
 
@@ -75,11 +75,11 @@ def _spread(values: Sequence[float]) -> str:
 
 
 CONVERGENCE_FLIGHTS = {"exact_convergence": 32.0, "exact_noise_003": 32.0, "exact_gusts_03": 62.0}
-"""Flights and how much of each is flown, s."""
+"""Flights, with the time that is flown, s."""
 
 
 def convergence(seeds: int, workers: int) -> list[Result]:
-    """Time from the start of excitation until the six dominant coefficients stay within 10 %."""
+    """Measure the time of excitation until the six dominant coefficients stay within 10 %."""
     jobs = [
         (n, s, *m) for n in CONVERGENCE_FLIGHTS for m in _methods() for s in range(1, seeds + 1)
     ]
@@ -100,7 +100,7 @@ def _convergence_of(job: Job) -> Result:
     where = _index(track.structure, cases.DOMINANT)
     truth = cases.truth_in(track.structure, flight)[where]
     off = np.abs(track.coefficients[:, *where] / truth - 1.0) > 0.1
-    # The tick after the last one outside; infinite if it ends outside.
+    # The tick after the last one outside; infinite if the last tick is outside.
     after = [int(np.flatnonzero(column)[-1]) + 1 if column.any() else 0 for column in off.T]
     latest = max(after)
     settled = track.time[latest] if latest < len(track.time) else np.inf
@@ -112,7 +112,7 @@ def _convergence_of(job: Job) -> Result:
 
 
 def gusts(seeds: int, workers: int) -> list[Result]:
-    """Free-run fit on a held-out calm flight of models learned in gusts of 1 rad/s^2."""
+    """Measure the free-run fit, on a held-out calm flight, of models from gusts of 1 rad/s^2."""
     jobs = [("exact_gusts_10", s, *m) for m in _methods() for s in range(1, seeds + 1)]
     results = bench.done(_final_of, jobs, workers, _line)
     held_out = cases.simulated("exact_held_out")
@@ -132,7 +132,7 @@ def _final_of(job: Job) -> Result:
 
 
 def _at(track: cases.Track, tick: int, truth: FloatArray) -> Result:
-    """Return the estimate of a tick beside the truth."""
+    """Return estimate and truth at a tick."""
     return {
         "coefficients": track.coefficients[tick].tolist(),
         "sigma": track.sigma[tick].tolist(),
@@ -141,7 +141,7 @@ def _at(track: cases.Track, tick: int, truth: FloatArray) -> Result:
 
 
 def _free_run_fits(held_out: cases.Case, results: Sequence[Result]) -> FloatArray:
-    """Fit of p, q, r of models run through the whole flight from its first sample, percent."""
+    """Return the fits of p, q, r of models that run freely over the whole flight, percent."""
     blocks = held_out.blocks(held_out.settings({}))
     x = np.concatenate([blocks[0].x, *(b.x[1:] for b in blocks[1:])])
     u = np.concatenate([b.u for b in blocks])
@@ -165,7 +165,7 @@ CLOSED_LOOP = ("exact_closed_loop", "exact_closed_loop_gusts_10")
 
 
 def coverage(seeds: int, workers: int) -> list[Result]:
-    """Share of the errors within one and two standard deviations after 120 s."""
+    """Measure the share of errors within one and two standard deviations after 120 s."""
     names = [(name, seeds) for name in OPEN_LOOP]
     names += [(name, max(1, seeds // 3)) for name in CLOSED_LOOP]
     jobs = [(n, s, e) for n, count in names for e in (IV, LS) for s in range(1, count + 1)]
@@ -179,7 +179,7 @@ def coverage(seeds: int, workers: int) -> list[Result]:
 
 
 def _ratios(results: Sequence[Result], names: Sequence[str] | None = None) -> FloatArray:
-    """Errors over sigma of the free coefficients, or of those named; shape (results, k)."""
+    """Return errors over sigma of the free or the named coefficients, shape (results, k)."""
     structure = STRUCTURES[WIDEST]
     where = _index(structure, names or structure.names)
     out = []
@@ -202,7 +202,7 @@ def _coverage_line(group: Sequence[Result]) -> str:
 
 
 def _percent(flags: BoolArray) -> str:
-    """Share of the flags, with the standard error over flights."""
+    """Return the share of true flags, with its standard error over flights."""
     per_flight = 100.0 * flags.mean(axis=1)
     error = per_flight.std() / np.sqrt(len(per_flight))
     return f"{per_flight.mean():.1f} ± {error:.1f} %"
@@ -211,11 +211,11 @@ def _percent(flags: BoolArray) -> str:
 # -- quiet flight --------------------------------------------------------------------------
 
 QUIET_START = 62.0
-"""When the excitation of the quiet flights ends, s."""
+"""End of the excitation of the quiet flights, s."""
 
 
 def quiet(seeds: int, workers: int) -> list[Result]:
-    """How far coefficients move in ten quiet minutes, in sigma as of their beginning."""
+    """Measure the moves of coefficients in ten quiet minutes, in initial sigmas."""
     names = ("exact_quiet_gusts_03", "exact_quiet_gusts_10")
     jobs = [(n, s, e) for n in names for e in (IV, LS) for s in range(1, seeds + 1)]
     results = bench.done(_quiet_of, jobs, workers, _line)
@@ -249,7 +249,7 @@ def _quiet_of(job: Job) -> Result:
 # -- changes -------------------------------------------------------------------------------
 
 WATCHED = 30.0
-"""Time after a change over which it is watched, s."""
+"""Time of observation after a change, s."""
 
 PLANT_CHANGES = tuple(
     f"exact_halved_{surface}{air}" for air in ("", "_gusts_05") for surface in cases.PRIMARY
@@ -258,7 +258,7 @@ AIRCRAFT_CHANGES = ("c172p_halved_elevator", "c172p_halved_aileron")
 
 
 def changes(seeds: int, workers: int) -> list[Result]:
-    """How soon a halved control derivative is noticed and followed, and what else moves."""
+    """Measure detection and tracking of a halved control derivative, and moves of the others."""
     few = max(1, seeds // 5)
     names = [(n, seeds) for n in PLANT_CHANGES] + [(n, few) for n in AIRCRAFT_CHANGES]
     jobs = [(n, s, IV) for n, count in names for s in range(1, count + 1)]
@@ -315,7 +315,7 @@ def _rounded(track: cases.Track) -> list[tuple[float, str]]:
 
 
 def alarms(seeds: int, workers: int) -> list[Result]:
-    """Releases in 30 minutes in which nothing changes."""
+    """Count the covariance resets in 30 minutes without a change."""
     jobs = [(n, s, IV) for n in ("exact_half_hour", "c172p_half_hour") for s in range(1, seeds + 1)]
     results = bench.done(_alarms_of, jobs, workers, _line)
     for r in results:
@@ -334,7 +334,7 @@ WARM_UP_TICKS = 100
 
 
 def cost(seeds: int, workers: int) -> list[Result]:
-    """Processor time of one update with 10 gyro samples, sigma included, beside padasip's RLS."""
+    """Measure the processor time of an update of 10 gyro samples, sigma included, and of RLS."""
     results = []
     for seed in range(1, seeds + 1):
         case = cases.simulated("exact_noise_003", seed)
@@ -351,7 +351,7 @@ def cost(seeds: int, workers: int) -> list[Result]:
 
 
 def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatArray]:
-    """Processor times, s: of each whole tick, and of the update of the estimator in it."""
+    """Return the processor times, s, of each tick and of the estimator's update in it."""
     identifier = OnlineIdentifier(case.settings({"estimator": estimator}))
     update, times, own = identifier.estimator.update, [], []
 
@@ -371,7 +371,7 @@ def _update_times(case: cases.Case, estimator: str) -> tuple[FloatArray, FloatAr
 
 
 def _rls_times(case: cases.Case, samples: int) -> FloatArray:
-    """Processor time, s, of padasip's three filters for `samples` samples, same regressors."""
+    """Return the processor time, s, of padasip's three filters for `samples` samples."""
     structure = STRUCTURES[WIDEST]
     recorder = adaptive_filters.recorded(case, {})[1]
     filters = [
@@ -401,7 +401,7 @@ CAMPAIGNS: Mapping[str, tuple[Callable[[int, int], list[Result]], int, int]] = {
     "alarms": (alarms, 3, 1),
     "cost": (cost, 3, 1),
 }
-"""The campaigns, and their numbers of seeds: usual, and with ``--quick``."""
+"""The campaigns, with their numbers of seeds: default, and with ``--quick``."""
 
 
 def main() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights as the identifier sees them, one pass over them, and the score of what came out."""
+"""Flights as the identifier's input, one pass over them, and its score."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from uav_ident_ros.simulation.recording import parameters
 TimeArray = NDArray[np.int64]
 
 RECORDED = ROOT.parent / "shared" / "bags"
-"""Recorded real flights; cases of one that is absent are left out."""
+"""Folder of recorded real flights; cases of a missing one are omitted."""
 
 AIRSPEED_TYPE = "std_msgs/msg/Float64"
 TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC) = ("/imu/data", "/actuators", "/airspeed")
@@ -54,7 +54,7 @@ RECORDED_DELAY = {
     "proto_flt09": 0.0,
     "skywalker_manual": 0.0,
 }
-"""Transport delay of the recorded flights, s; 0 where it is not known."""
+"""Transport delay of the recorded flights, s; 0 if unknown."""
 
 RECORDED_SPEED = 17.0
 """Usual airspeed of the recorded aircraft, m/s."""
@@ -69,33 +69,33 @@ MODELS: Mapping[str, Mapping[str, object]] = {
     },
     "+ ay, az": {"structure": "augmented"},
 }
-"""The structures compared: settings by label."""
+"""Settings of the compared structures, by label."""
 
 DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
 """Roll, pitch, yaw damping; aileron, elevator, rudder."""
 
 PRIMARY = {"elevator": "qdot/de", "aileron": "pdot/da", "rudder": "rdot/dr"}
-"""Of each surface the derivative that it is there for."""
+"""Main control derivative of each surface."""
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Messages of a flight and what is known of it."""
+    """Messages of a flight and the settings for them."""
 
-    parameters: dict[str, Any]  # Settings that fit its topics
-    samples: Samples  # What arrives
+    parameters: dict[str, Any]  # Settings for its topics
+    samples: Samples  # The received samples
 
     @property
     def flight(self) -> Flight | None:
-        """What really happened; None of a recorded one."""
+        """The noise-free record; None of a recorded flight."""
         return self.samples.flight if isinstance(self.samples, Measurements) else None
 
     def messages(
         self,
-        identifier: OnlineIdentifier,  # Who reads them; the airspeed only if its type is set
-        given: Iterable[FloatArray] = (),  # What was added to excite, one for each actuator sample
+        identifier: OnlineIdentifier,  # The receiver; the airspeed only if its type is set
+        given: Iterable[FloatArray] = (),  # Published excitation, one for each actuator sample
     ) -> Iterator[Message]:
-        """Yield what arrives, in that order."""
+        """Yield the messages in the order of arrival."""
         excitation = iter(given)
         for message in self.samples.messages():
             if message.stream != AIRSPEED or identifier.settings.airspeed.type:
@@ -105,7 +105,7 @@ class Case:
                     yield message._replace(stream=EXCITATION, values=tuple(added.tolist()))
 
     def settings(self, values: Mapping[str, object]) -> Settings:
-        """Return settings that fit the topics, with `values`."""
+        """Return the settings for the topics, with `values`."""
         return Settings.from_values({**self.parameters, **values})
 
     def measured(self, settings: Settings) -> tuple[FloatArray, FloatArray]:
@@ -115,9 +115,9 @@ class Case:
         return frame.to_body(m.rates), frame.to_body(m.specific_force)[:, 1:]
 
     def blocks(self, settings: Settings, given: FloatArray | None = None) -> list[Block]:
-        """Bring the signals on the identifier's own grid, joined up to each restart.
+        """Return the signals on the identifier's grid, a block between restarts.
 
-        With what was injected, (M, 4), at the actuators' samples.
+        `given` is the published excitation, (M, 4), at the actuators' samples.
         """
         sampler, m = Sampler(settings), self.samples
         sampler.rates.t, sampler.rates.v = m.imu_t_ns, np.hstack([m.rates, m.specific_force])
@@ -133,12 +133,12 @@ def simulated(name: str, seed: int | None = None) -> Case:
 
 
 def measured(m: Measurements) -> Case:
-    """Return a simulated flight as its sensors saw it."""
+    """Return the case of a simulated flight's measurements."""
     return Case(parameters(m), m)
 
 
 def is_recorded(name: str) -> bool:
-    """Whether there is a recorded flight of that name."""
+    """Return whether there is a recorded flight of that name."""
     return (RECORDED / name).is_dir()
 
 
@@ -189,7 +189,7 @@ def load(name: str, seed: int | None = None) -> Case:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What one pass over a flight gave."""
+    """Result of one pass over a flight."""
 
     settings: Settings  # Settings of the pass
     t_ns: TimeArray  # (K,) Ticks, ns
@@ -199,16 +199,16 @@ class Track:
     sigma: FloatArray
     learning: NDArray[np.bool_]  # (K, 3) Rows that learned
     delay: FloatArray  # (K,) Delay in use, s
-    changes: list[tuple[float, str]]  # When a changed coefficient was released, s, and which
-    flow: FloatArray | None = None  # As `Published` has it
+    changes: list[tuple[float, str]]  # Covariance resets: time, s, and coefficient
+    flow: FloatArray | None = None  # As in `Published`
 
     def constant(self, coefficients: FloatArray) -> Track:
-        """Return the same ticks with coefficients that stay as they are."""
+        """Return the same ticks with constant coefficients."""
         still = np.broadcast_to(coefficients, self.coefficients.shape)
         return replace(self, coefficients=still)
 
     def published(self) -> Published:
-        """Return what the track published."""
+        """Return the track as published coefficients."""
         return Published(self.t_ns, self.coefficients, self.structure, self.flow)
 
     @property
@@ -223,12 +223,12 @@ class Track:
 
 def identify(
     case: Case,  # The flight
-    values: Mapping[str, object],  # Settings besides those that its topics need
-    make: Callable[[Settings, Start], Estimator] = make_estimator,  # The settings' by default
+    values: Mapping[str, object],  # Settings besides those for its topics
+    make: Callable[[Settings, Start], Estimator] = make_estimator,  # That of the settings
     *,
-    until: float = np.inf,  # Stop so long after the first sample, s
+    until: float = np.inf,  # End of the pass after the first sample, s
 ) -> Track:
-    """Run the identifier over a flight, once, as the node would."""
+    """Run the identifier once over a flight, as the node does."""
     settings = case.settings(values)
     identifier = OnlineIdentifier(settings, estimator=make)
     m = case.samples
@@ -255,21 +255,21 @@ def identify(
 
 
 def given_force(fit: PredictionFit) -> FloatArray:
-    """Return the fit with measured forces where there is one, else the free one."""
+    """Return the fit with measured forces if there is one, else the free fit."""
     return np.where(np.isnan(fit.measured_force), fit.model, fit.measured_force)
 
 
 def score(case: Case, track: Track, rates: FloatArray | None = None) -> PredictionFit:
-    """Score a track as replay does, over the last 40 %: each window with the delay then in use.
+    """Score a track over the last 40 %, as `replay` does: each window with the delay at its start.
 
-    Against the measured rates, or others at the same times, (N, 3).
+    The reference is the measured rates, or `rates` at the same times, (N, 3).
     """
     measured, force = case.measured(track.settings)
     rates = measured if rates is None else rates
     actuators, m = track.settings.actuators, case.samples
     u = InputMap(actuators).apply(m.actuators)
     first, last = int(m.imu_t_ns[0]), int(m.imu_t_ns[-1])
-    late = track.t_ns >= last - round(0.4 * (last - first))  # no other window counts here
+    late = track.t_ns >= last - round(0.4 * (last - first))  # only these windows count
     parts = []
     for delay in np.unique(track.delay[late]):
         chosen = late & (track.delay == delay)
@@ -289,7 +289,7 @@ def score(case: Case, track: Track, rates: FloatArray | None = None) -> Predicti
 
 
 def truth_in(structure: Structure, flight: Flight, time: float = 0.0) -> FloatArray:
-    """Lay out the true coefficients of a plant in another structure, shape (3, n)."""
+    """Return the true coefficients of a plant in another structure, shape (3, n)."""
     own = STRUCTURES[flight.structure]
     true = flight.coefficients_at(time)
     out = np.zeros(structure.mask.shape)

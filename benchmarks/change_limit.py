@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How soon anybody could know a halved control derivative: ``python benchmarks/change_limit.py``.
+"""Cramér-Rao bound of a halved control derivative: ``python benchmarks/change_limit.py``.
 
-The Cramér-Rao bound of the best case: when it changed is known, and so are all other
-coefficients and the statistics of gusts and noise. Row by row, with the state ``[x, d, a]`` (rate,
-gust, control derivative),
+The bound is that of the best case. The time of the change is known, and so are all other
+coefficients and the statistics of gusts and noise. For each row, with the state ``[x, d, a]``
+(rate, gust, control derivative),
 
     x' = A_ii x + a u + d,    d' = -d / T + w,    a' = 0,    y = x + noise,
 
-a Kalman filter's variance of ``a`` is that bound. Printed are its standard deviation relative to
-the new value, and how often an estimate that reaches it is within 15 %, which "and stays there"
-can only lessen.
+a Kalman filter's variance of ``a`` is that bound. Printed are the standard deviation relative to
+the new value, and the probability that an estimate at the bound is within 15 %. The probability
+that it stays there is smaller.
 """
 
 import math
@@ -26,11 +26,11 @@ TIMES = (5.0, 10.0, 20.0)
 
 NEAR = 0.15
 SEEDS = 5
-"""Seeds of the inputs, on which the bound depends."""
+"""Number of seeds of the inputs; the bound depends on the inputs."""
 
 
 def bound(name: str, coefficient: str, seed: int) -> FloatArray:
-    """Return its standard deviations at `TIMES` after the change, relative to the new value."""
+    """Return the bound's standard deviations at `TIMES`, relative to the new value."""
     definition = flights.definition(name)
     flight = flights.load_flight(name, seed)
     structure = STRUCTURES[flight.structure]

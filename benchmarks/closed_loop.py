@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The identified model in a control loop, measured: ``python benchmarks/closed_loop.py NAME``.
+"""The closed loop on the identified model, measured: ``python benchmarks/closed_loop.py NAME``.
 
-cold       no initial coefficients: what normal flight alone identifies; JSBSim's c172p, every
-           node a process, in step
+cold       no initial coefficients: identification in normal flight alone; JSBSim's c172p, every
+           node a process, in lock-step
 restart    the identifier killed (-9) in flight and started again
 latency    from the stamp of an Imu sample to the command and to the coefficients, real time
 
-Tables go to the terminal, figures to build/closed_loop/. Faults: ``fault_campaign.py``.
+Tables go to the terminal, figures to build/closed_loop/. ``fault_campaign.py`` flies the faults.
 """
 
 import itertools
@@ -40,10 +40,10 @@ Record = dict[str, FloatArray]
 
 
 def fly(loop: Loop, during: Callable[[ClosedLoop], None] | None = None) -> tuple[Record, str]:
-    """Fly once in a domain of its own; return the record and what the controller said.
+    """Fly once in a domain of its own; return the record and the controller's output.
 
-    A flight in which somebody fell silent, on a machine too busy or in a domain that another
-    program uses too, is flown again.
+    The flight is repeated if a node did not answer in time, because the machine is too busy or
+    another program uses the domain.
     """
     for _ in range(ATTEMPTS):
         with (
@@ -121,7 +121,7 @@ def restart(seeds: int) -> dict[str, Any]:
 
 
 def kill_and_restart(running: ClosedLoop) -> None:
-    """Kill the identifier at one time of the flight and start it at another."""
+    """Kill the identifier in flight and restart it later."""
     times: list[int] = []
     guest = Guest("flight_clock")
     guest.node.create_subscription(Clock, "/clock", lambda m: times.append(stamp_ns(m.clock)), 1)
@@ -155,7 +155,7 @@ LATENCY_TIME = 40.0
 WARM_UP = 5.0
 IMU_RATES = (100.0, 200.0)
 WAITS = (0.05, 0.02)
-"""Settings of `input_wait`, s."""
+"""Values of `input_wait`, s."""
 
 
 def latency(_: int) -> dict[str, Any]:
@@ -184,7 +184,7 @@ def latency(_: int) -> dict[str, Any]:
 
 
 def listen(running: ClosedLoop, ages: dict[str, list[float]], dropped: dict[str, str]) -> None:
-    """Collect the age of each message on its arrival here, ms, and what the identifier dropped."""
+    """Collect the age of each message on arrival, ms, and the identifier's dropped samples."""
     begin: list[float] = []
 
     def take(topic: str, message: Any) -> None:

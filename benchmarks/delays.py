@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Delay and servo lag found from the flight: ``python benchmarks/delays.py [--seeds N]``.
+"""Estimates of transport delay and servo lag: ``python benchmarks/delays.py [--seeds N]``.
 
-Of each flight are printed the sum that was found, its sigma, and the largest error in sigmas of any
-estimate of the flight that was sure. ``--told``: flights that say what is injected, of which the
-lag is printed, too. ``--quiet``: flights that are excited for a minute and again for the last 20 s,
-and how far the delay in use moves in the five minutes between. ``--sweep``: the free fits over 1 s
-of recorded flights with fixed delays, and with the delay estimated.
+For each flight it prints the estimated sum, its sigma, and the largest error of a sure estimate in
+sigmas. ``--told``: flights that publish the injected signal; the lag is printed, too. ``--quiet``:
+flights with excitation in the first minute and the last 20 s, and the move of the delay in use in
+between. ``--sweep``: free fits over 1 s of recorded flights, with fixed delays and with the
+estimated one.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -39,13 +39,13 @@ LATE = ((0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0), (0.0, 0.06), (0.08, 0.
 """Delays and lags, s."""
 
 EXCITED = 60.0
-"""Time of excitation on flights that say what is injected, s."""
+"""Time of excitation on flights that publish the injected signal, s."""
 
 QUIET_UNTIL, LONG = 360.0, 380.0
-"""When a long quiet part, which begins at `EXCITED`, ends, and the flight, s."""
+"""End of the quiet part, which starts at `EXCITED`, and of the flight, s."""
 
 PIECE = 100
-"""Cells that the bank sees at a time: half a second or a second."""
+"""Cells of the bank's blocks: half a second or a second."""
 
 SWEEP = (0.0, 0.04, 0.08, 0.1, 0.12, 0.16)
 """Fixed delays of the sweep over recorded flights, s."""
@@ -55,12 +55,12 @@ Fly = Callable[[], Measurements]
 
 
 class Trial(NamedTuple):
-    """A flight of which delay and lag are to be found."""
+    """A flight for the estimation of delay and lag."""
 
     name: str
     fly: Fly
     excited: bool = True
-    told: bool = False  # Whether it says what is injected
+    published: bool = False  # Whether the injected signal is published
 
 
 def plant(
@@ -94,7 +94,7 @@ def quadrotor(
     surfaces: Sequence[str] = INPUTS,
     period: float = 20.0,
 ) -> Measurements:
-    """Let the quadrotor hover, excited from 2 s on for so long."""
+    """Fly the quadrotor in hover, excited for `excited` s from 2 s on."""
     peaks = {name: AMPLITUDES[name] for name in surfaces}
     segment = Segment("multisine", 2.0, excited, peaks, period, (0.2, 4.0), seed=seed)
     flight = QuadrotorFlight(
@@ -105,7 +105,7 @@ def quadrotor(
 
 
 def _aircraft(name: str, seed: int, delay: float, lag: float, wind: float, **more: Any) -> Fly:
-    """Return what flies an aircraft on its autopilot, which turns."""
+    """Return a function that flies an aircraft in turns on its autopilot."""
     return partial(fly, name, seed, bank=20.0, wind=wind, delay=delay, time_constant=lag, **more)
 
 
@@ -114,7 +114,7 @@ def _late(delay: float, lag: float) -> str:
 
 
 def trials(seed: int) -> Iterator[Trial]:
-    """Yield flights in the open and the closed loop, and some on which nobody excites."""
+    """Yield flights in open and closed loop, some without excitation."""
     light = partial(_aircraft, "light_aircraft", seed, duration=DURATION)
     flight: Fly
     for delay, lag in LATE:
@@ -135,19 +135,19 @@ def trials(seed: int) -> Iterator[Trial]:
     for gusts in (0.3, 1.0):
         flight = partial(plant, seed, 0.06, 0.0, gusts, True, ())
         yield Trial(f"plant, feedback, gusts {gusts:g}", flight, excited=False)
-        for words, more in (("feedback", {}), ("stiff feedback", stiff)):
+        for label, more in (("feedback", {}), ("stiff feedback", stiff)):
             flight = light(0.05, 0.0, gusts, excitation=(), **more)
-            yield Trial(f"light, {words}, wind {gusts:g}", flight, excited=False)
+            yield Trial(f"light, {label}, wind {gusts:g}", flight, excited=False)
 
 
-def told_trials(seed: int) -> Iterator[Trial]:
-    """Yield flights under autopilots that say what is injected."""
+def published_trials(seed: int) -> Iterator[Trial]:
+    """Yield flights under autopilots that publish the injected signal."""
     surfaces, end = ("de", "dr", "da"), EXCITED + 2.0
     flight: Fly
     for gusts, lag in product((0.0, 0.1, 0.2, 0.5, 1.0), (0.03, 0.05, 0.08)):
         name = f"quadrotor, {_late(0.012, lag)}, gusts {gusts:g} rad/s^2"
         flight = partial(quadrotor, seed, 0.012, gusts, lag, EXCITED, end, surfaces, 10.0)
-        yield Trial(name, flight, told=True)
+        yield Trial(name, flight, published=True)
     for kind, airs in (("light", (0.0, 0.5, 1.0)), ("c172p", (0, 2, 4))):
         aircraft = "light_aircraft" if kind == "light" else kind
         for air, delay, lag in product(airs, (0.0, 0.06, 0.1), (0.0, 0.06, 0.12)):
@@ -155,7 +155,7 @@ def told_trials(seed: int) -> Iterator[Trial]:
                 aircraft, seed, delay, lag, air, excitation=((2.0, end),), duration=end,
                 surfaces=surfaces, band=(0.2, 2.0),
             )  # fmt: skip
-            yield Trial(f"{kind}, {_late(delay, lag)}, wind {air:g}", flight, told=True)
+            yield Trial(f"{kind}, {_late(delay, lag)}, wind {air:g}", flight, published=True)
 
 
 def quiet_trials(seed: int) -> Iterator[Trial]:
@@ -175,25 +175,25 @@ def quiet_trials(seed: int) -> Iterator[Trial]:
 
 
 class Result(NamedTuple):
-    """What came of one flight."""
+    """Result of one flight."""
 
     trial: Trial
     true: float  # Delay and lag, s
     lag: float  # Lag alone, s
     estimate: DelayEstimate
-    worst: float  # Largest error of a sure estimate in its sigmas, any time
+    worst: float  # Largest error of a sure estimate of the flight, in its sigmas
 
 
 def held(trial: Trial) -> tuple[float, str]:
-    """Fly one as the node would, told neither delay nor lag.
+    """Fly a trial and identify it as the node does, without configured delay and lag.
 
-    Returns how far the delay in use moves after the quiet begins, s, and a line on it.
+    Returns the largest move of the delay in use after the excitation, s, and a line on it.
     """
     m = trial.fly()
     case = cases.measured(m)
     structure = "augmented" if trial.name.startswith("plant") else "flight_dynamics"
     track = cases.identify(case, UNTOLD | {"structure": structure})
-    # Half a block later all that was excited is judged.
+    # Half a block later all excited samples are judged.
     after = track.delay[track.at(EXCITED + 0.5 * HORIZONS[-1]) :]
     moved = float(np.abs(after - after[0]).max())
     true = m.flight.delay + m.flight.time_constant
@@ -204,9 +204,9 @@ def held(trial: Trial) -> tuple[float, str]:
 
 
 def judged(trial: Trial) -> Result:
-    """Fly one, and let the bank see it as the identifier's sampler cuts it."""
+    """Fly a trial and run the bank over the blocks of the identifier's sampler."""
     m = trial.fly()
-    given = m.flight.injected if trial.told else None
+    given = m.flight.injected if trial.published else None
     true = m.flight.delay + m.flight.time_constant
     structure = STRUCTURES["flight_dynamics"]
     speed = 20.0 if m.flight.airspeed is None else float(np.mean(m.flight.airspeed))
@@ -224,7 +224,7 @@ def judged(trial: Trial) -> Result:
 
 
 def cut(block: Block, k: int, name: str) -> Block:
-    """Cut a piece of `PIECE` cells; others than aircraft have no flow."""
+    """Return the k-th piece of `PIECE` cells; only aircraft have flow angles."""
     cells, edges = slice(k, k + PIECE), slice(k, k + PIECE + 1)
     whole, flow = block.flow, None
     if whole is not None and not name.startswith(("plant", "quadrotor")):
@@ -237,14 +237,14 @@ def cut(block: Block, k: int, name: str) -> Block:
 
 
 def line(r: Result) -> str:
-    """One flight in a line."""
+    """Return the line of one flight."""
     e = r.estimate
-    word = "sure" if e.total_sure else "delay" if e.sure else "not known"
+    status = "sure" if e.total_sure else "delay" if e.sure else "not known"
     lag = f"  lag {1e3 * r.lag:3.0f}: {1e3 * e.lag:3.0f} +- {1e3 * e.lag_sigma:2.0f}"
     lag = lag if e.lag_sure else ""
     return (
         f"{r.trial.name:<36} true {1e3 * r.true:4.0f}  found {1e3 * e.total:4.0f} +- "
-        f"{1e3 * e.total_sigma:3.0f} ms  {word:<10} worst {r.worst:.1f} sigma{lag}"
+        f"{1e3 * e.total_sigma:3.0f} ms  {status:<10} worst {r.worst:.1f} sigma{lag}"
     )
 
 
@@ -274,7 +274,7 @@ def summary(results: Sequence[Result]) -> Iterator[str]:
 
 
 def sweep(name: str) -> str:
-    """Free 1-s fits of a recorded flight with fixed delays, and with the delay estimated."""
+    """Return free 1-s fits of a recorded flight, with fixed delays and with the estimated one."""
     parts = []
     for delay in (*SWEEP, None):
         values: dict[str, Any] = {"actuators.delay": delay or 0.0}
@@ -289,9 +289,9 @@ def sweep(name: str) -> str:
 
 
 def main() -> None:
-    """Print what was found."""
+    """Print the estimates."""
     parser = bench.parser(__doc__, seeds=2, workers=2)
-    parser.add_argument("--told", action="store_true", help="flights that say what is injected")
+    parser.add_argument("--told", action="store_true", help="the injected signal is published")
     parser.add_argument("--quiet", action="store_true", help="flights with long quiet parts")
     parser.add_argument("--sweep", action="store_true", help="recorded flights instead")
     options = parser.parse_args()
@@ -299,7 +299,7 @@ def main() -> None:
         flights = filter(cases.is_recorded, cases.RECORDED_DELAY)
         bench.done(sweep, flights, options.workers)
         return
-    chosen = quiet_trials if options.quiet else told_trials if options.told else trials
+    chosen = quiet_trials if options.quiet else published_trials if options.told else trials
     todo = [trial for seed in range(1, options.seeds + 1) for trial in chosen(seed)]
     if options.quiet:
         flown = bench.done(held, todo, options.workers, itemgetter(1))

@@ -2,10 +2,10 @@
 """Identified derivatives beside the true ones: ``python benchmarks/derivatives.py [AIRCRAFT ...]``.
 
 Each aircraft flies two minutes of multisines in calm air and is identified once, online. The true
-ones are central differences of its accelerations, trimmed at the mean airspeed of the flight: who
-excites at trim throttle slows down, the c172p by 3 %, which is 7 % of an aileron. Those by the
-throttle are left out: an engine takes a second to follow. The augmented structure's hold at given
-ay and az, the true ones at given alpha and beta: there, compare the aileron's alone.
+derivatives are central differences of its accelerations, trimmed at the flight's mean airspeed:
+excitation at trim throttle slows the c172p by 3 %, which is 7 % of pdot/da. Those by the throttle
+are omitted, because an engine follows within a second. Those of `augmented` hold at fixed ay and
+az, the true ones at fixed alpha and beta: only the aileron's is comparable.
 """
 
 from collections.abc import Iterator, Mapping
@@ -32,7 +32,7 @@ SENSORS = Sensors(rate=200.0, gyro_noise=0.005, accelerometer_noise=0.05)
 def identified(
     aircraft: str, seed: int, values: Mapping[str, object]
 ) -> tuple[CoefficientSet, float]:
-    """Fly an aircraft and identify it; the coefficients at the end, and the mean airspeed, m/s."""
+    """Fly and identify an aircraft; return the final coefficients and the mean airspeed, m/s."""
     segment = Segment("multisine", start=2.0, amplitudes=airframe(aircraft).excitation, seed=seed)
     flight = AircraftFlight((segment,), DURATION, aircraft=aircraft, seed=seed).fly()
     assert flight.airspeed is not None
@@ -43,7 +43,7 @@ def identified(
 
 
 def lines(found: CoefficientSet, truth: Linearisation) -> Iterator[str]:
-    """Table of the derivatives that both have, and the largest errors of it."""
+    """Yield the table of the common derivatives, and their largest errors."""
     structure, true = STRUCTURES[found.structure], truth.derivatives
     yield f"{'':12} {'true':>10} {'identified':>10} {'sigma':>9} {'error, %':>9} {'in sigma':>9}"
     for name in structure.names:
@@ -59,7 +59,7 @@ def lines(found: CoefficientSet, truth: Linearisation) -> Iterator[str]:
 
 
 def mode_lines(found: CoefficientSet, truth: Linearisation) -> Iterator[str]:
-    """Eigenvalues, frequency and damping of the true modes and of the identified ones."""
+    """Yield eigenvalues, frequency and damping of the true and the identified modes."""
     structure, true = STRUCTURES[found.structure], truth.derivatives
     values = np.zeros(structure.mask.shape)
     for name in set(structure.names) & set(true):

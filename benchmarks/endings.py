@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""End the node again and again: ``python benchmarks/endings.py kills``, or ``signals``.
+"""Repeated ends of the node: ``python benchmarks/endings.py kills``, or ``signals``.
 
-kills      The node is asked to save without a pause, and killed at a random moment. The state file
-           must be whole, and the next node must publish first what is in it, to the bit.
-signals    At a random moment, while it starts or while it learns, it gets SIGINT or SIGTERM, often
-           twice or three times, as from a terminal and from launch together. It must end with
-           status 0 and without a traceback, and save what it has learned.
+kills      The node saves continually and is killed at a random moment. The state file must be
+           whole, and the first output of the next node must equal it, to the bit.
+signals    At a random moment of its start or of learning, the node receives one to three SIGINT or
+           SIGTERM, as from a terminal and from launch together. It must end with status 0 and
+           without a traceback, and save its coefficients.
 """
 
 import os
@@ -35,24 +35,24 @@ BAG = bench.ROOT / "bags" / "multisine"
 TOPICS = ("/imu/data", "/actuators")
 
 LONGEST_LIFE = 1.5, 4.0
-"""The node is killed within so many seconds from its first file, and gets signals within so many
-from when it handles them, or learns, s."""
+"""Longest time from the first state file to the kill; and from the start of signal handling, or of
+learning, to the signals; s."""
 
 GAPS = (0.0, 0.001, 0.01, 0.1, 0.3)
-"""Times between two signals, s: together, and while the file is written."""
+"""Times between two signals, s, some within the writing of the file."""
 
 STEP = 0.005
-"""Wall time of the flight that is fed at once, s."""
+"""Wall time of a piece of the flight that is sent at once, s."""
 
 PATIENCE = 60.0
-"""Seconds that a busy machine may take to start the node, or to end it."""
+"""Longest time for a start or an end of the node, s, sufficient on a busy machine."""
 
 SPEED = 4.0
-"""Speed of the flight, relative to real time."""
+"""Playing speed, relative to real time."""
 
 
 class Feeder:
-    """Feeds a flight to the node, asks it to save, and hears what it publishes."""
+    """Player of a flight that requests saves and collects the node's outputs."""
 
     def __init__(self) -> None:
         with Bag(BAG) as bag:
@@ -77,11 +77,11 @@ class Feeder:
         self.player.spin_for(STEP)
 
     def request_save(self) -> None:
-        """Call ~/save, without waiting for the answer."""
+        """Call ~/save without waiting for the response."""
         self._answers.append(self._save.call_async(self._request))
 
     def saves(self) -> int:
-        """Count the files that were written since the last time, as the node said."""
+        """Return the number of successful saves since the last call, by the node's responses."""
         done = [a for a in self._answers if a.done() and a.result().success]
         for answer in self._answers:
             self._save.remove_pending_request(answer)
@@ -89,14 +89,14 @@ class Feeder:
         return len(done)
 
     def learned(self) -> bool:
-        """Whether the node has learned something."""
+        """Return whether the last coefficients are not all zero."""
         coefficients = self.player.outputs.coefficients
         return bool(coefficients) and any(coefficients[-1].data)
 
 
 @contextmanager
 def running(state_file: Path, log: Path) -> Iterator[NodeProcess]:
-    """Run the node as a process of its own, and kill it in the end."""
+    """Run the node in a process of its own, and kill it at the end."""
     log.unlink(missing_ok=True)
     values = {"state_file": state_file, "save_period": 1.0}
     node = NodeProcess("uav_ident_ros.node", log, values, file=BAG / "identifier.yaml")
@@ -111,7 +111,7 @@ def running(state_file: Path, log: Path) -> Iterator[NodeProcess]:
 
 
 def kills(feeder: Feeder, count: int, chance: random.Random, folder: Path, wrong: list[str]) -> str:
-    """Kill the node, and return what came of it; what should not have been goes to `wrong`."""
+    """Kill nodes and return a summary; problems are appended to `wrong`."""
     state_file, log = folder / "state.yaml", folder / "node.log"
     saved: FloatArray | None = None
     saves = interrupted = 0
@@ -134,7 +134,7 @@ def kills(feeder: Feeder, count: int, chance: random.Random, folder: Path, wrong
 
 
 def _live_until_saved(feeder: Feeder, node: NodeProcess, state_file: Path, life: float) -> None:
-    """Feed a node until it has written a file, and `life` seconds more."""
+    """Play to a node until it has written a file, and for `life` seconds more."""
     feeder.player.wait_for_node()
     feeder.player.outputs.clear()
     before = state_file.stat().st_mtime_ns if state_file.exists() else 0
@@ -148,7 +148,7 @@ def _live_until_saved(feeder: Feeder, node: NodeProcess, state_file: Path, life:
 
 
 def load(state_file: Path, number: int, wrong: list[str]) -> FloatArray | None:
-    """Read the file that a killed node has left."""
+    """Return the coefficients in the state file of a killed node."""
     try:
         return load_with_notes(state_file)[0].values
     except CoefficientsFileError as error:
@@ -162,34 +162,34 @@ def load(state_file: Path, number: int, wrong: list[str]) -> FloatArray | None:
 def signals(
     feeder: Feeder, count: int, chance: random.Random, folder: Path, wrong: list[str]
 ) -> str:
-    """End nodes by signals; the rest as of `kills`."""
+    """End nodes by signals; otherwise as `kills`."""
     learned = saved = 0
     for number in range(count):
         state_file, log = folder / f"{number}.yaml", folder / f"{number}.log"
         with running(state_file, log) as node:
             life = chance.uniform(0.0, LONGEST_LIFE[1])
             _live_until_learned(feeder, node, life, started=number % 2 == 1)
-            knows = feeder.learned()
+            has_learned = feeder.learned()
             for _ in range(chance.randint(1, 3)):
                 if node.poll() is None:
                     node.send_signal(chance.choice((signal.SIGINT, signal.SIGTERM)))
                 time.sleep(chance.choice(GAPS))
             status = node.wait(PATIENCE)
-        learned, saved = learned + knows, saved + state_file.exists()
+        learned, saved = learned + has_learned, saved + state_file.exists()
         printed = node.log
         if status != 0 or "Traceback" in printed or "FATAL" in printed:
             wrong.append(f"run {number}: status {status}: {printed[-300:]}")
-        if knows and not state_file.exists():
+        if has_learned and not state_file.exists():
             wrong.append(f"run {number}: what was learned is lost")
     return f"{count} nodes ended; {learned} had learned, {saved} left a file"
 
 
 def _live_until_learned(feeder: Feeder, node: NodeProcess, life: float, *, started: bool) -> None:
-    """Feed a node for `life` seconds, from when it handles signals or, `started`, has learned."""
+    """Play to a node for `life` s after it handles signals or, if `started`, has learned."""
     limit = time.monotonic() + PATIENCE
     while not _handles(node.pid) and time.monotonic() < limit:
         time.sleep(STEP)
-    feeder.player.spin_for(0.2)  # what the last node has said
+    feeder.player.spin_for(0.2)  # receive the last node's outputs first
     feeder.player.outputs.clear()
     while started and not feeder.learned() and time.monotonic() < limit:
         feeder.feed()
@@ -199,7 +199,7 @@ def _live_until_learned(feeder: Feeder, node: NodeProcess, life: float, *, start
 
 
 def _handles(pid: int) -> bool:
-    """Whether a process has a handler for SIGTERM."""
+    """Return whether a process has a handler for SIGTERM."""
     status = Path(f"/proc/{pid}/status").read_text()
     caught = int(status.split("SigCgt:")[1].split()[0], 16)
     return bool(caught >> (signal.SIGTERM - 1) & 1)
@@ -209,11 +209,11 @@ PROGRAMS: dict[str, tuple[Callable[..., str], int, str]] = {
     "kills": (kills, 50, "every file was whole, every node went on from it"),
     "signals": (signals, 200, "every node ended with status 0, and saved what it had learned"),
 }
-"""The campaigns, how many nodes each ends, and what is said if there was no problem."""
+"""The campaigns, with the number of nodes and the line for a run without problems."""
 
 
 def main() -> int:
-    """Run a campaign and print what came of it; the exit status is 1 if there is a problem."""
+    """Run a campaign and print its result; return the exit status, 1 if there is a problem."""
     parser = bench.parser(__doc__, seed=1, count=0)
     parser.add_argument("name", choices=tuple(PROGRAMS))
     options = parser.parse_args()
@@ -225,7 +225,7 @@ def main() -> int:
         try:
             count, chance = options.count or usual, random.Random(options.seed)
             print(run(feeder, count, chance, Path(folder), wrong))
-            # Said before it leaves: Fast DDS may crash in leaving a graph of killed participants.
+            # Print first: Fast DDS may crash when it leaves a graph of killed participants.
             print(*wrong or [good], sep="\n", flush=True)
         finally:
             feeder.player.close()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Six hours of flight in one identifier: ``python benchmarks/endurance.py``.
 
-A flight of eleven minutes, one of excitation and ten of quiet air with gusts and an autopilot,
-is flown over and over, its stamps going on, and the delay is estimated. Printed for every hour
-are the processor time of the ticks, the memory of the process and how good the coefficients
-are: all of it must stay as it is.
+A flight of eleven minutes, one of excitation and ten of normal flight with gusts and an autopilot,
+is repeated with continuous stamps. The delay is estimated. For every hour the program prints the
+processor time of the ticks, the memory of the process and the errors of the coefficients; all must
+be constant.
 """
 
 import time
@@ -22,11 +22,11 @@ FLIGHT = "exact_quiet_gusts_03"
 
 HOUR = 3600.0
 MARGIN = 1.0
-"""Flown beyond the last hour, s: a tick waits for the samples that follow it."""
+"""Flight time beyond the last hour, s: a tick is due with the samples after it."""
 
 
 def messages(flown: Samples, duration: float) -> Iterator[Message]:
-    """Yield the messages of the flight again and again, for `duration` s."""
+    """Yield the messages of the repeated flight, for `duration` s."""
     flight, t_ns = list(flown.messages()), flown.imu_t_ns
     start = int(t_ns[0])
     period = int(t_ns[-1]) - start + int(np.median(np.diff(t_ns)))
@@ -52,7 +52,7 @@ def report(hour: int, times: list[float], error: FloatArray) -> None:
 
 
 def main() -> None:
-    """Fly, and print."""
+    """Fly and print."""
     options = bench.parser(__doc__, hours=6.0).parse_args()
     case = cases.simulated(FLIGHT)
     assert case.flight is not None

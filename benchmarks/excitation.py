@@ -2,14 +2,14 @@
 """Excitation in the closed loop, many flights: ``python benchmarks/excitation.py [--seeds N]``.
 
 JSBSim's c172p banks and pitches as in normal flight, under the example controller on fixed nominal
-coefficients; the identifier starts from none. After ten seconds a run of excitation is asked for,
-at a tenth of each surface's range. All in one process, without ROS. For each severity of the
-turbulence are printed: how far rates and attitude come until two seconds after the run, of the
-limits; how and when the runs end; rms of rates minus reference; the errors of the dominant
-derivatives.
+coefficients; the identifier has no initial ones. A run of excitation is requested after ten
+seconds, at a tenth of each surface's range. All parts run in one process, without ROS. The table
+has for each severity of turbulence: the peaks of rates and attitude until two seconds after the
+run, relative to the limits; how and when the runs end; rms of rates minus reference; the errors of
+the dominant derivatives.
 
-``--quadrotor``: the quadrotor in hover, which later loses a third of the thrust of one motor while
-nobody excites. ``--untold``, too: its identifier is told neither delay nor lag of the motors.
+``--quadrotor``: the quadrotor in hover, which loses 30 % of a motor's thrust after the excitation.
+``--untold``, too: neither delay nor lag of the motors is configured.
 """
 
 from collections.abc import Iterator, Sequence
@@ -42,18 +42,18 @@ from uav_ident_ros.simulation.rate_reference import NORMAL, Manoeuvres
 
 AIRCRAFT = "c172p"
 SEVERITIES = {"calm": 0, "light": 1, "moderate": 2, "heavy": 4}
-"""JSBSim's severities of turbulence."""
+"""Severities of JSBSim's turbulence."""
 
 START, LONGEST, AFTER = 10.0, 60.0, 2.0
-"""When the run is asked for, how long it may last, and how long it is watched afterwards, s."""
+"""Request of the run, its longest duration, and the time of observation after it, s."""
 
 LEAD = 0.15
 FAULT, RELEARNED, TRACKED = 50.0, 5.0, 8.0
-"""When the motor of the quadrotor fails, how much later it is to be relearned, and the time before
-the fault and after its first two seconds over which tracking is measured, s."""
+"""Time of the motor's fault; time for its relearning; and length of the intervals, before the fault
+and from two seconds after it, in which tracking is measured; s."""
 
 LEFT = 0.7
-"""What is left of the motor's thrust; of the quadrotor's derivatives, three quarters and that."""
+"""Remaining share of the motor's thrust; derivatives keep three quarters plus a quarter of it."""
 
 DOMINANT = (
     "pdot/p", "pdot/da", "pdot/beta", "qdot/q", "qdot/de", "qdot/alpha", "rdot/dr", "rdot/beta",
@@ -62,7 +62,7 @@ DOMINANT = (
 
 @dataclass(frozen=True)
 class Found:
-    """What became of one flight."""
+    """Result of one flight."""
 
     severity: str
     seed: int
@@ -73,7 +73,7 @@ class Found:
     attitude: float
     tracking: tuple[float, ...]
     errors: dict[str, float]
-    """Relative, of the dominant derivatives."""
+    """Relative errors of the dominant derivatives."""
     sigmas: dict[str, float]
     """The same errors in sigmas."""
 
@@ -114,7 +114,7 @@ class Flight:
         self.run = ExcitationRun(self.identifier.structure)
 
         def on_estimate(estimate: Estimate) -> None:
-            """Let controller and identifier know what is asked for."""
+            """Pass the requested excitation to controller and identifier."""
             self.estimate = estimate
             injection = self.run.step(self.identifier.flying(), estimate)
             if injection is not None:
@@ -135,7 +135,7 @@ class Flight:
 
 
 def fly(job: tuple[str, int, bool]) -> Found:
-    """Fly once: severity, seed, whether excited."""
+    """Fly a job once: severity, seed, whether excited."""
     severity, seed, excited = job
     flight = Flight(SEVERITIES[severity], seed)
     rows: list[FloatArray] = []
@@ -175,7 +175,7 @@ def fly(job: tuple[str, int, bool]) -> Found:
 
 
 def lose_a_motor(seed: int, *, untold: bool) -> dict[str, Any]:
-    """Identify the quadrotor in hover and let a motor lose thrust: what came of it."""
+    """Identify the quadrotor in hover and reduce a motor's thrust; return the results."""
     flight = Flight(0, seed, "quadrotor", untold=untold)
     errors, healthy, relearned = [], None, None
     while flight.aircraft.time < FAULT + 2.0 + TRACKED:
@@ -208,7 +208,7 @@ def lose_a_motor(seed: int, *, untold: bool) -> dict[str, Any]:
 
 
 def quadrotor_line(one: dict[str, Any]) -> str:
-    """Return a line for a flight of the quadrotor."""
+    """Return the line of a quadrotor's flight."""
     noticed = ", ".join(f"{name} {t:.1f} s" for name, t in one["changes"].items())
     errors = [
         " / ".join(f"{name} {100 * e:.0f}" for name, e in one[when].items())

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How soon excitation tells the derivatives, and how soon it could: ``excitation_bound.py``.
+"""Time from excitation to known derivatives, and its Cramér-Rao bound: ``excitation_bound.py``.
 
 The light aircraft flies turns on its autopilot in gusts, and is excited from the tenth second on.
-Measured is the time from then until six derivatives are within 15 % of the truth for good.
+The result is the time from then until six derivatives stay within 15 % of the truth.
 
-Beside it stands what the same flights would allow whom nothing escapes. The Cramér-Rao bound of a
+The bound is the time of an efficient estimator on the same flights. The Cramér-Rao bound of a
 flight is the covariance of the extended Kalman filter of states (rates, flow angles, the gusts in
-them) and all coefficients of the structure, linearised about what really happened, with the true
+them) and all coefficients of the structure, linearised about the true trajectory, with the true
 statistics of gusts and noise and the same prior (Tichavský, Muravchik and Nehorai, "Posterior
 Cramér-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing 46, 1998).
-The errors of an estimator that reaches it are Gaussian, and what it learns between two times is
-independent of its error after: so they can be drawn, from the last back to the first.
+The errors of an efficient estimator are Gaussian, and its correction between two times is
+independent of its later error: errors can be drawn backwards in time.
 """
 
 from collections.abc import Iterator, Sequence
@@ -45,19 +45,19 @@ START, DURATION = 10.0, 70.0
 """Start of the excitation and end of the flight, s: a run of ``excitation.duration``."""
 
 PEAKS = dict.fromkeys(("de", "dr", "da"), 0.08)
-"""A tenth of the range of surfaces that go to 0.4 rad on either side, rad."""
+"""Peaks, rad: a tenth of the range of surfaces with 0.4 rad on either side."""
 
 BAND = (0.2, 2.0)
-"""That of ``excitation.band``, Hz."""
+"""Default of ``excitation.band``, Hz."""
 
 DOMINANT = (*cases.DOMINANT, "pdot/beta", "qdot/alpha", "rdot/beta")
-"""Those that have to be near, six, and what else is looked at."""
+"""The six derivatives that must be near the truth, and three that are only reported."""
 
 SIX = len(cases.DOMINANT)
 CONTROLS = slice(3, SIX)
 NEAR = 0.15
 KNOWN = 4.0
-"""Value over sigma from which a derivative counts as known: ``supervision.min_t_ratio``."""
+"""Smallest t-ratio of a known derivative: ``supervision.min_t_ratio``."""
 
 DRAWS = 100
 RATE = verdict_flights.SENSORS.rate
@@ -66,26 +66,26 @@ TICK = 5
 
 STRUCTURE = STRUCTURES["flight_dynamics"]
 STATES = 8
-"""p q r, beta and alpha of the motion through still air, what gusts add to both, rolling gust."""
+"""p q r, beta and alpha in still air, the additions of gusts to both, and the rolling gust."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """What one flight gave."""
+    """Result of one flight."""
 
     gusts: str
     seed: int
     excited: bool
-    seconds: dict[str, float]  # Until near for good, by derivative and of all six; inf if never
-    bound: dict[str, float]  # The same of estimators that reach the bound, median
+    seconds: dict[str, float]  # Until near for good, by derivative and for all six; inf if never
+    bound: dict[str, float]  # The same of efficient estimators, median
     within: dict[str, float]  # Share of the ticks within two sigma, by derivative
-    known: float  # Share of the ticks in which a control derivative is known
-    usable: float  # Share of the ticks in which a row is usable
-    wrong: float  # ... and its control derivative off by more than half
+    known: float  # Share of the ticks with a known control derivative
+    usable: float  # Share of the ticks with a usable row
+    wrong: float  # ... whose control derivative has an error of more than half
 
 
 def fly(gusts: str, seed: int, excited: bool) -> Flight:
-    """Fly it."""
+    """Fly a flight of the light aircraft."""
     segments = (Segment("multisine", START, DURATION, PEAKS, 10.0, BAND, seed=seed),)
     spec = light_aircraft.LightFlight(
         segments if excited else (), DURATION, bank=20.0, gust=GUSTS[gusts],
@@ -95,7 +95,7 @@ def fly(gusts: str, seed: int, excited: bool) -> Flight:
 
 
 def identify(flight: Flight, seed: int) -> list[Estimate]:
-    """Identify it as the node would, from nothing; return the estimates of all ticks."""
+    """Identify a flight as the node does, without initial coefficients; return all estimates."""
     case = cases.measured(measure(flight, verdict_flights.SENSORS, seed))
     identifier = OnlineIdentifier(case.settings({}))
     given = flight.injected if flight.excitation else ()
@@ -103,7 +103,7 @@ def identify(flight: Flight, seed: int) -> list[Estimate]:
 
 
 def covariances(flight: Flight, gust: float) -> FloatArray:
-    """Cramér-Rao bound of the dominant derivatives at the ticks, (K, D, D)."""
+    """Return the Cramér-Rao bound of the dominant derivatives at the ticks, (K, D, D)."""
     every = round(flight.rate / RATE)
     u, x = flight.extra["surfaces"][::every], flight.rates[::every]
     ay, az = flight.specific_force[::every, 1:].T
@@ -113,7 +113,7 @@ def covariances(flight: Flight, gust: float) -> FloatArray:
     motion, sensed, steps = linearised(gust)
     free = np.array(STRUCTURE.free)
     labels = np.array(STRUCTURE.row_labels)[free[:, 0]]
-    # Where the term of each coefficient enters: state equations, measured forces.
+    # Rows in which each coefficient's term enters: state equations, measured forces.
     enters, shows = np.zeros((STATES, len(free))), np.zeros((5, len(free)))
     for k, row in enumerate(ROWS):
         enters[k] = labels == row
@@ -144,7 +144,7 @@ def covariances(flight: Flight, gust: float) -> FloatArray:
 
 
 def linearised(gust: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Transition of the states over a sample, what the sensors see of them, gust variances."""
+    """Return the state transition over a sample, the measurement matrix, the gust variances."""
     a = np.zeros((STATES, STATES))
     c = verdict_flights.coefficients(STRUCTURE, TRUTH)
     beta, alpha = (STRUCTURE.column(name) for name in ("beta", "alpha"))
@@ -153,7 +153,7 @@ def linearised(gust: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     rows[:, :3] = c[:5, rates]
     rows[:, 3] = rows[:, 5] = c[:5, beta]
     rows[:, 4] = rows[:, 6] = c[:5, alpha]
-    rows[:, 7] = c[:5, rates.start]  # it rolls through the air
+    rows[:, 7] = c[:5, rates.start]  # roll rate relative to the air
     a[:3], a[3:5] = rows[:3], rows[3:] / SPEED
     a[3, 2], a[4, 1] = -1.0, 1.0
     a[range(5, 8), range(5, 8)] = -1.0 / np.array([GUST_TIME, GUST_TIME, ROLL_GUST_TIME])
@@ -163,7 +163,7 @@ def linearised(gust: float) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def for_good(near: FloatArray) -> dict[str, float]:
-    """Seconds until the derivatives (..., K, D) stay near, median over flights; inf if never."""
+    """Return the median time until derivatives (..., K, D) stay near, s; inf if never."""
     chosen = {name: near[..., k] for k, name in enumerate(DOMINANT)}
     chosen["all"] = near[..., :SIX].all(axis=-1)
     out = {}
@@ -175,7 +175,7 @@ def for_good(near: FloatArray) -> dict[str, float]:
 
 
 def drawn(covariance: FloatArray, seed: int) -> FloatArray:
-    """Draw errors of estimators that reach the bound (K, D, D): (DRAWS, K, D)."""
+    """Draw errors of efficient estimators, (DRAWS, K, D), for a bound (K, D, D)."""
     rng = np.random.default_rng(seed)
     learned = np.concatenate((covariance[:-1] - covariance[1:], covariance[-1:]))
     values, vectors = np.linalg.eigh(learned)
@@ -185,7 +185,7 @@ def drawn(covariance: FloatArray, seed: int) -> FloatArray:
 
 
 def judge(job: tuple[str, int, bool]) -> Found:
-    """Fly, identify and bound one."""
+    """Fly and identify one flight, and compute its bound."""
     gusts, seed, excited = job
     flight = fly(*job)
     estimates = identify(flight, seed)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether "usable" means usable: ``python benchmarks/false_usable.py [--classes NAME ...]``.
+"""Correctness of the verdict usable: ``python benchmarks/false_usable.py [--classes NAME ...]``.
 
-Flies the trials of `verdict_flights.py`, gives each to an identifier and holds what it publishes
-against the truth, tick by tick: the *whole* control derivatives pdot/da, qdot/de and rdot/dr, what
-the surface does at fixed rates and flow. One is wrong if it has the wrong sign or is off by more
-than half, with an error above three of its sigmas.
+It flies the trials of `verdict_flights.py`, identifies each and compares the outputs with the truth
+at every tick: the *whole* control derivatives pdot/da, qdot/de and rdot/dr, at fixed rates and flow
+angles. A derivative is wrong if its error exceeds three of its sigmas, and its sign is wrong or the
+error is more than half of the value.
 """
 
 import re
@@ -30,49 +30,49 @@ from uav_ident_ros.simulation.noise import Measurements, fed
 from uav_ident_ros.simulation.recording import PARAMETER_FILE, write_bag
 
 MAIN = ("pdot/da", "qdot/de", "rdot/dr")
-"""The control derivatives judged, one a row."""
+"""The compared control derivative of each row."""
 
 SIGMAS, LARGEST_ERROR = 3.0, 0.5
-"""Wrong is an error of more than so many sigmas and so much of the truth."""
+"""Limits of an error, in sigmas and relative to the truth; a wrong value exceeds both."""
 
 START = 30.0
-"""The share of time usable is counted from here on, s, for the classes that should be usable."""
+"""Start of the count of usable time, s, for the classes that should be usable."""
 
 GLITCH_LOOK = 20.0
-"""Time after the glitch in which the verdict is missed, s."""
+"""Time after the glitch in which a missing verdict counts, s."""
 
 NAMED_WITHIN = 10.0
-"""A mistake has to be named by then, s of flight."""
+"""Latest time of flight to report a mistake, s."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one trial."""
+    """Result of one trial."""
 
     # kind, name, seed: The trial
     kind: str
     name: str
     seed: int
-    duration: float  # Time judged, s
+    duration: float  # Evaluated time, s
     usable: float  # Share of the time after `START` with the verdict, of all rows
     ever: float  # Share of the whole flight in which some row is usable
-    # wrong, wrong_sign: Share of the whole flight with a usable row that is wrong; that has the
-    # wrong sign
+    # wrong, wrong_sign: Share of the whole flight with a usable row whose derivative, or its sign,
+    # is wrong
     wrong: float
     wrong_sign: float
-    # Share of the whole flight with a usable row whose fit, as shown beside it, is below that of
-    # holding the rate
+    # Share of the whole flight with a usable row whose published fit is below that of holding the
+    # rate
     losing: float
     lost: float  # Time without the verdict in the seconds after the glitch, less those before, s
-    # (one, two) Coverage of the derivatives known to half of their value, 1 and 2 sigma; NaN if
-    # none was
+    # (one, two) Coverage at 1 and 2 sigma of the derivatives with sigma below half of the true
+    # value; NaN without any
     within: tuple[float, float]
-    counted: int  # How many values that was
+    counted: int  # Number of these values
     feedback: bool
     # The control derivatives at the end: estimate, sigma, truth
     last: Mapping[str, tuple[float, float, float]]
-    named: float  # When a mistake was named, s; NaN if never
-    reason: str  # What the identifier said last
+    named: float  # Time at which a mistake was reported, s; NaN if never
+    reason: str  # Last reason of the identifier
 
 
 def whole(
@@ -84,8 +84,8 @@ def whole(
 ) -> tuple[FloatArray, FloatArray]:
     """Return a whole derivative and its sigma, shape (K,), from coefficients (K, rows, n).
 
-    With the angles of the flow as regressors, or neither them nor forces, it is the coefficient
-    itself; with the forces as regressors, what the surface does by its force is added.
+    With the flow angles as regressors, or neither them nor forces, it is the coefficient itself.
+    With the forces as regressors, the effect through the surface's force is added.
     """
     row, _, regressor = name.partition("/")
     i, j = structure.index(name)
@@ -100,9 +100,9 @@ def whole(
 
 
 def judge(value: FloatArray, spread: FloatArray, truth: FloatArray) -> tuple[Any, Any]:
-    """Return where an estimate is wrong at three sigma, and where its sign is, (K,) bool arrays.
+    """Return where the estimate, and where its sign, is wrong at three sigma, (K,) bool arrays.
 
-    A lost surface has no sign: what is claimed of it is wrong, its sign is not.
+    A lost surface has no sign: an estimate of its effect is wrong, but not in sign.
     """
     error = np.abs(value - truth)
     sure = error > SIGMAS * spread
@@ -111,10 +111,10 @@ def judge(value: FloatArray, spread: FloatArray, truth: FloatArray) -> tuple[Any
 
 
 def run(trial: Trial, structure_name: str) -> Outcome:
-    """Fly one trial, identify it as the node would, and judge what came out."""
+    """Fly one trial, identify it as the node does, and compare with the truth."""
     flown = trial.fly()
     case = flown if isinstance(flown, cases.Case) else cases.measured(flown)
-    flight = case.flight  # None of a recorded one: no truth is known
+    flight = case.flight  # None of a recorded flight, without truth
     named = {"structure": structure_name} if structure_name else {}
     settings = case.settings({**named, **trial.settings})
     structure = STRUCTURES[settings.structure]
@@ -173,7 +173,7 @@ def run(trial: Trial, structure_name: str) -> Outcome:
 
 
 def _replay(measured: Measurements, values: Mapping[str, Any], initial: Any) -> Sequence[Estimate]:
-    """Identify a flight as a bag, read back as `replay` reads it."""
+    """Identify a flight from a bag, as `replay` does."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bag"
         write_bag(measured, path)
@@ -188,7 +188,7 @@ def _coverage(
     sigma: FloatArray,
     time: FloatArray,
 ) -> tuple[tuple[float, float], int]:
-    """Share of the errors within one and two sigma, once a second, where something is known."""
+    """Return the coverage at one and two sigma of known values, once a second, and their number."""
     chosen = np.flatnonzero(time >= START)[::20]
     ratios = [np.zeros(0)]
     for name in true[0]:
@@ -205,7 +205,7 @@ def _coverage(
 
 
 def _lost(time: FloatArray, usable: Any) -> float:
-    """Time without the verdict after the glitch, less that before it, s."""
+    """Return the time without the verdict after the glitch, minus that before it, s."""
     if time[-1] < GLITCH_TIME:
         return 0.0
     before = (time < GLITCH_TIME) & (time >= GLITCH_TIME - GLITCH_LOOK)
@@ -261,7 +261,7 @@ def _line(label: str, outcomes: Sequence[Outcome]) -> str:
 
 
 def details(outcome: Outcome) -> str:
-    """Return one line about a trial."""
+    """Return the line of a trial."""
     last = "  ".join(
         f"{name} {value:.1f}+-{spread:.1f} ({true:.1f})"
         for name, (value, spread, true) in outcome.last.items()

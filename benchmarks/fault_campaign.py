@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults at random times, and who brings the aircraft home.
+"""Control after faults at random times, with adaptive and fixed controllers.
 
 Each controller flies the same manoeuvres, in one process, without ROS:
 
 inversion   inversion of the nominal model with a disturbance observer
 PID         the usual rate loop: feed-forward, P, I, D, one surface for each axis
 INDI        incremental inversion on the nominal control derivatives
-adaptive    the same, on what is identified and measured in flight, axis by axis
-oracle      the same, told the true control derivatives with the fault, where an effect is reduced
+adaptive    the same, on the derivatives identified and measured in flight, axis by axis
+oracle      the same, on the true control derivatives after the fault, for a reduced effect
 
-All are as fast as can be with a gain margin of two: they still settle when every input of the
-healthy aircraft has twice its effect. The flights are drawn in a random order that meets every
-aircraft and fault before any twice: what was flown when it is stopped is a fair sample. The fixed
-ones fly where the adaptive one was lost, or everywhere (``--all``).
+All have the largest bandwidth with a gain margin of two: they still settle if every input of the
+healthy aircraft has twice its effect. The random order of the flights contains every aircraft and
+fault once before any repetition: a stopped campaign is a fair sample. The fixed controllers fly the
+cases in which the adaptive one lost the aircraft, or all (``--all``).
 
 Tables go to the terminal, every flight to build/fault_campaign.jsonl.
 """
@@ -62,20 +62,20 @@ CONTROLLERS = (*FIXED, ADAPTIVE, ORACLE)
 
 AIRCRAFT = ("c172p", "pa28", "T37", "J3Cub", "OV10", "ultra_stick_25e")
 TIMES, SEEDS = 5, 3
-"""Random times of the fault, and seeds of noise and manoeuvres, of every aircraft and fault."""
+"""Numbers of random fault times, and of seeds of noise and manoeuvres, per aircraft and fault."""
 
 HEALTHY = "healthy"
 
 
 @dataclass(frozen=True)
 class Case:
-    """What goes wrong in a flight."""
+    """A fault of a flight, or another error."""
 
     commands: tuple[str, ...] = ()  # At the time of the fault
-    axis: int = 0  # The one concerned: p, q, r
-    delay: float = DELAY  # True one, s; the loop is told `DELAY`
+    axis: int = 0  # The affected axis: p, q, r
+    delay: float = DELAY  # True delay, s; the loop is configured for `DELAY`
     sensors: Sensors = SENSORS
-    # (de, dr, da), axis p, q, r: what is left of the effects of the surfaces, and of the axis's
+    # Remaining shares of the effects of de, dr, da, and of the effects on the axis
     reduced: tuple[tuple[float, float, float], float] | None = None
 
 
@@ -102,28 +102,28 @@ FAULTS = {
         sensors=replace(SENSORS, gyro_noise=0.02, gyro_bias=(0.02, -0.02, 0.02))
     ),
 }
-"""The last two are there from the start of the flight."""
+"""The faults; the last two hold from the start of the flight."""
 
 BEFORE, AFTER = 15.0, 20.0
-"""Least time before a fault and time flown after it, s."""
+"""Shortest flight before a fault, and flight after it, s."""
 
 SPREAD = 10.0
-"""The fault comes up to so much later, at random, s."""
+"""Range of the random time of the fault, s."""
 
 RECOVERED = 1.2
-"""Error over that of the healthy flight at which a fault counts as overcome."""
+"""Error after recovery, relative to the healthy flight."""
 
 SPAN = 5.0
-"""Length of the stretches that are compared for that, and the time in which it should be, s."""
+"""Length of the intervals of this comparison, and longest time to recovery, s."""
 
 NOTICED = 8.0
-"""Time in which a fault should be noticed, s."""
+"""Longest time to notice a fault, s."""
 
 FACTORS = tuple(1.15**k for k in range(-8, 9))
-"""Speeds of a loop that are tried, over the laws' own."""
+"""Bandwidths in the search, relative to the default of the laws."""
 
 WHOLE = 1.3
-"""The same of the axes that have nothing to do with it, 5 to 15 s after a jam or a loss."""
+"""Largest relative error of the unaffected axes, 5 to 15 s after a jam or a loss."""
 
 Make = Callable[[CoefficientSource], Controller]
 
@@ -132,7 +132,7 @@ Make = Callable[[CoefficientSource], Controller]
 
 
 def pid_gains(prepared: Prepared, factor: float) -> PidGains:
-    """PID of the same bandwidth as the laws': K over the effect, damping fed forward."""
+    """Return PID gains of the laws' bandwidth: K over the effect, feed-forward of the damping."""
     effect = control_derivatives(nominal_of(prepared))[0]
     main = np.array([effect[axis, column] for axis, column in enumerate(SURFACES)])
     rates = nominal_of(prepared).values[:3, RATE_COLUMNS].diagonal()
@@ -144,7 +144,7 @@ def pid_gains(prepared: Prepared, factor: float) -> PidGains:
 
 
 def make_controller(prepared: Prepared, name: str, factor: float) -> Make:
-    """Return what makes a controller of that speed."""
+    """Return a factory of a controller with that relative bandwidth."""
     if name == "PID":
         gains = pid_gains(prepared, factor)
         return lambda source: PidController(prepared.limits - prepared.trim, gains)
@@ -153,7 +153,7 @@ def make_controller(prepared: Prepared, name: str, factor: float) -> Make:
 
 
 class Oracle:
-    """Tells an adaptive controller the true control derivatives, from the fault on."""
+    """Adaptive controller on the true control derivatives, from the fault on."""
 
     def __init__(
         self, prepared: Prepared, case: Case, when: float, make: Make, source: CoefficientSource
@@ -179,13 +179,13 @@ class Oracle:
 
 
 def tuned(prepared: Prepared, name: str) -> float:
-    """Return the largest factor that settles with twice the effect: the rule."""
+    """Return the largest bandwidth factor that settles with twice the effect."""
     passed = [f for f in FACTORS if settles(prepared, make_controller(prepared, name, f))]
     return max(passed, default=FACTORS[0])
 
 
 def settles(prepared: Prepared, make: Make) -> bool:
-    """Whether a step is followed for 3 s on the identified model with twice its effect."""
+    """Return whether a step settles in 3 s on the identified model with twice the effect."""
     nominal = nominal_of(prepared)
     source = CoefficientSource(Fallback.LAST_GOOD, nominal)
     controller = make(source)
@@ -213,7 +213,7 @@ Cell = tuple[str, str, int, int]
 
 
 def design(names: Sequence[str], faults: Sequence[str]) -> list[Cell]:
-    """Every cell, in an order whose every beginning is a fair sample."""
+    """Return all cells, in an order with a fair sample in every beginning."""
     rng = np.random.default_rng(16)
     pairs = [(name, fault) for fault in faults for name in names]
     turns = {pair: rng.permutation(TIMES * SEEDS) for pair in pairs}
@@ -225,12 +225,12 @@ def design(names: Sequence[str], faults: Sequence[str]) -> list[Cell]:
 
 
 def fault_time(k: int, seed: int) -> float:
-    """Random time of the k-th fault of a seed's flights, s."""
+    """Return the random time of the k-th fault of a seed's flights, s."""
     return round(BEFORE + SPREAD * float(np.random.default_rng([seed, k]).random()), 2)
 
 
 def fly(prepared: Prepared, name: str, factor: float, cell: Cell) -> dict[str, Any]:
-    """Fly one controller through one fault; what is to be said of it."""
+    """Fly one controller through one fault; return the results."""
     aircraft, fault, k, seed = cell
     case, when = FAULTS[fault], fault_time(k, seed)
     axis, commands = case.axis, tuple(f"{when}: {c}" for c in case.commands)
@@ -243,7 +243,7 @@ def fly(prepared: Prepared, name: str, factor: float, cell: Cell) -> dict[str, A
     if name == ORACLE:
         make = partial(Oracle, prepared, case, when, make)
     outcome = fly_loop(prepared, mission, make, identifier)
-    # of a healthy flight the same stretches as of each fault
+    # a healthy flight has the intervals of all fault times
     times = [fault_time(k, seed) for k in range(TIMES)] if fault == HEALTHY else [when]
     return {
         "aircraft": aircraft, "fault": fault, "k": k, "seed": seed, "controller": name,
@@ -258,13 +258,13 @@ def fly(prepared: Prepared, name: str, factor: float, cell: Cell) -> dict[str, A
 
 
 def stretches(outcome: Outcome, when: float) -> list[list[float]]:
-    """Errors before the fault and in three stretches after it, deg/s."""
+    """Return the errors before the fault and in three intervals after it, deg/s."""
     edges = (5.0, when, when + 5.0, when + 15.0, when + AFTER)
     return [outcome.error(*span).tolist() for span in pairwise(edges)]
 
 
 def noticed(outcome: Outcome, when: float, axis: int) -> float | None:
-    """Time from the fault until a coefficient of the axis is released, or its sign turned, s."""
+    """Return the time to a covariance reset of the axis, or to a changed sign, s."""
     row = ("pdot", "qdot", "rdot")[axis]
     times = [t for t, name in outcome.changes if t > when and name.startswith(row)]
     times += [t for t, sources in outcome.sources if t > when and sources[axis] == "measured"]
@@ -272,7 +272,7 @@ def noticed(outcome: Outcome, when: float, axis: int) -> float | None:
 
 
 def recovered(flight: dict[str, Any], healthy: dict[str, Any]) -> float | None:
-    """Time from the fault until the axis is within 20 % of healthy for good, s."""
+    """Return the time until the axis's error stays within 20 % of the healthy one, s."""
     if flight["lost"] is not None:
         return None
     ratio = relative(flight, healthy, "in spans")[:, flight["axis"]]
@@ -281,19 +281,19 @@ def recovered(flight: dict[str, Any], healthy: dict[str, Any]) -> float | None:
 
 
 def relative(flight: dict[str, Any], healthy: dict[str, Any], key: str) -> FloatArray:
-    """Errors of a flight over those of the healthy one at the same time, shape (n, 3)."""
+    """Return errors relative to the healthy flight at the same time, shape (n, 3)."""
     return np.asarray(np.array(flight[key][0], float) / np.array(healthy[key][flight["k"]], float))
 
 
 class Fleet:
-    """Aircraft prepared, and how fast each controller may be: computed once, kept on disk."""
+    """Prepared aircraft with the bandwidths of their controllers, cached on disk."""
 
     def __init__(self, folder: Path, pool: ProcessPoolExecutor) -> None:
         self._folder, self._pool = folder, pool
         self._known: dict[str, tuple[Prepared, dict[str, float]]] = {}
 
     def __getitem__(self, name: str) -> tuple[Prepared, dict[str, float]]:
-        """Return an aircraft and the speeds of its controllers."""
+        """Return an aircraft and the bandwidth factors of its controllers."""
         file = self._folder / f"fault_campaign_{name}.pickle"
         if name not in self._known and file.exists():
             self._known[name] = pickle.loads(file.read_bytes())
@@ -307,13 +307,13 @@ class Fleet:
 
 def campaign(
     cells: Sequence[Cell],
-    flown: list[dict[str, Any]],  # What was flown before
-    everyone: bool,  # Whether the fixed ones fly where the adaptive one was not lost, too
+    flown: list[dict[str, Any]],  # Earlier flights
+    everyone: bool,  # Whether the fixed controllers fly all cells
     workers: int,
-    folder: Path,  # For what takes long and does not change
-    end: float,  # Nothing new from this time of the steady clock on, s
+    folder: Path,  # Cache of the prepared aircraft
+    end: float,  # Last start of a flight, on the steady clock, s
 ) -> Iterator[dict[str, Any]]:
-    """Fly what is missing; yield each flight."""
+    """Fly the missing flights and yield each."""
     done = {key(flight): flight for flight in flown}
 
     def fly_all(jobs: Sequence[tuple[str, Cell]]) -> Iterator[dict[str, Any]]:
@@ -349,20 +349,20 @@ def campaign(
 
 
 def key(flight: dict[str, Any]) -> tuple[str, Cell]:
-    """Return who flew which cell."""
+    """Return controller and cell of a flight."""
     return flight["controller"], (
         flight["aircraft"], flight["fault"], flight["k"], flight["seed"]
     )  # fmt: skip
 
 
-# --- what nobody can do better -----------------------------------------------------------------
+# --- the limit of any controller ---------------------------------------------------------------
 
 
 def jam_limits(names: Sequence[str], jam: float) -> Iterator[str]:
-    """Table of what steady flight with an aileron jammed so far from trim, rad, costs at least.
+    """Yield the table of the least errors with an aileron jammed at `jam` rad from trim.
 
-    Sideslip and rudder must balance its moments, by the true derivatives. So an aircraft that keeps
-    its bank turns at ``ay / V`` beyond the coordinated rate: no controller has less yaw error.
+    In steady flight sideslip and rudder balance its moments, by the true derivatives. At constant
+    bank the aircraft then turns at ``ay / V`` beyond the coordinated rate, with any controller.
     """
     rows = []
     for name in names:
@@ -400,7 +400,7 @@ TITLES = (
 
 
 def lines(flights: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Table of all aircraft, errors in deg/s; then each flight that was lost."""
+    """Yield the table of all aircraft, errors in deg/s, and the lost flights."""
     healthy = {
         (n, a, s): f for f in flights for n, (a, fault, _, s) in [key(f)] if fault == HEALTHY
     }
@@ -422,7 +422,7 @@ def lines(flights: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def cells_of(some: Sequence[dict[str, Any]], healthy: dict[Any, dict[str, Any]]) -> list[str]:
-    """Medians over the flights of a controller and a fault, and counts."""
+    """Return the medians over the flights of a controller and a fault, and counts."""
     axis = some[0]["axis"]
     errors = np.array([f["errors"][0] for f in some], dtype=float)  # flights, spans, axes
     own = [(f, healthy.get((f["controller"], f["aircraft"], f["seed"]))) for f in some]
@@ -446,7 +446,7 @@ def _middle(values: FloatArray, unit: str = "") -> str:
 
 
 def _times(values: Sequence[float | None], limit: float) -> str:
-    """Median of those there are, and how many of all are within the limit."""
+    """Return the median of the values that exist, and the count of those within the limit."""
     known = [v for v in values if v is not None]
     soon = sum(v <= limit for v in known)
     return f"{np.median(known):.1f} ({soon} of {len(values)})" if known else "-"

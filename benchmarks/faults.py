@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that a graph can do to the node, at once: ``python benchmarks/faults.py``.
+"""Hostile inputs of every kind to the node: ``python benchmarks/faults.py``.
 
-The node learns a recorded flight; then comes what `Campaign` can do to it, once on the system's
-time and once on simulated time. It must stay up and never publish a value that is not finite or out
-of bounds. Afterwards it learns the same flight again, without a reset, and must be as good as
-before.
+The node learns a recorded flight, then receives all the disturbances of `Campaign`, once on the
+system's time and once on simulated time. It must stay up, and never publish a value that is not
+finite or out of bounds. Afterwards it learns the same flight again, without a reset, and its
+predictions must be as good as before.
 """
 
 import itertools
@@ -60,26 +60,26 @@ TYPES = {
 STREAMS = {RATES: "rates", ACTUATORS: "actuators", AIRSPEED: "airspeed", ARMED: "armed"}
 
 LEARNING_TIME = 60.0
-"""Flight that it learns before and after, s."""
+"""Length of the flight before and after the disturbances, s."""
 
 BURST = {False: 100, True: 2}
-"""Messages on one topic before the node is waited for, by whether its time is simulated: it loses
-none of them. The executor for simulated time answers while the messages still wait."""
+"""Messages on one topic between two waits for the node, by whether its time is simulated: few
+enough to lose none. With simulated time the executor answers before it has read all of them."""
 
 FLOOD_RATE = 5000.0
 FLOOD_TIME = 3.0
 SILENCE = 2.5
-"""Seconds without a message: more than the node takes for a silence."""
+"""Time without a message, s, above the node's timeout of a topic."""
 
 CALLS_SHARE = 0.002
-"""Imu messages, of one, after which something is called."""
+"""Share of the Imu messages that are followed by a call."""
 
 LIMITS = {"lower": "[-0.5, -0.5, -0.5, -0.1]", "upper": "[0.5, 0.5, 0.5, 1.1]"}
-"""Limits of the channels, rad and throttle. Without them a command of 99.9 rad is one like any
-other, and counts for more than an hour of flight."""
+"""Limits of the channels, rad and throttle. Without them a command of 99.9 rad is valid, and weighs
+more than an hour of flight."""
 
 LARGEST_LOSS = 2.0
-"""Points by which the fit may be worse afterwards."""
+"""Largest loss of fit afterwards, points."""
 
 BOUNDS = {
     "fit/": (-1000.0, 100.0),
@@ -87,29 +87,29 @@ BOUNDS = {
     "": (-LARGEST_NUMBER, LARGEST_NUMBER),
 }
 LARGEST_RATE = 200.0
-"""Bounds of what is published: entries by the beginning of their names; rates, rad/s."""
+"""Bounds of the outputs: entries by the prefix of their names; rates, rad/s."""
 
 
 @dataclass
 class Outcome:
-    """What came of a campaign."""
+    """Result of a campaign."""
 
     # Messages sent on each topic, hostile or not
     sent: Counter[str] = field(default_factory=Counter)
     hostile: Counter[str] = field(default_factory=Counter)  # Hostile ones among them
-    # before, after: 1-second fit on the last 40 % of the flight of what was learned before and
-    # after
+    # before, after: 1-second fit, on the last 40 % of the flight, of the coefficients learned
+    # before and after
     before: PredictionFit | None = None
     after: PredictionFit | None = None
     ticks: int = 0
     calls: Counter[str] = field(default_factory=Counter)
     memory: tuple[float, float] = (0.0, 0.0)
     status: dict[str, str] = field(default_factory=dict)  # Last diagnostics
-    problems: list[str] = field(default_factory=list)  # What should not have been
+    problems: list[str] = field(default_factory=list)  # Violations of the requirements
 
 
 def out_of_bounds(outputs: Outputs) -> Iterator[str]:
-    """Yield what was published and should not have been."""
+    """Yield the published values that are not finite or out of bounds."""
     for named in outputs.named:
         good = np.isfinite(named.effort).all()
         for name, value in zip(named.name, named.position, strict=True):
@@ -127,7 +127,7 @@ def out_of_bounds(outputs: Outputs) -> Iterator[str]:
 
 
 class Campaign:
-    """One node, and all that is done to it."""
+    """One node, and all the disturbances."""
 
     def __init__(
         self,
@@ -141,7 +141,7 @@ class Campaign:
         self._count = count
         self._sim_time = sim_time
         self._process = self._start(folder)
-        # Without a stamp of its own, it holds from its arrival: by /clock, with the others.
+        # armed has no stamp and holds from its arrival; only /clock aligns it with the others.
         self.topics = [topic for topic in TYPES if sim_time or topic != ARMED]
         self._types = {topic: import_type(TYPES[topic]) for topic in self.topics}
         self.player = Player(self._types, clock=sim_time)
@@ -168,7 +168,7 @@ class Campaign:
         return NodeProcess("uav_ident_ros.node", log, values, file=BAG / "identifier.yaml")
 
     def _load_flight(self) -> list[tuple[int, str, bytes]]:
-        """Good messages: those of the bag, an airspeed ten times a second, armed twice."""
+        """Return good messages: those of the bag, an airspeed at 10 Hz, armed twice."""
         with Bag(BAG) as bag:
             found = [(m.log_ns, m.topic, m.data) for m in bag.messages((RATES, ACTUATORS))]
             start, end = bag.start_ns, bag.start_ns + int(LEARNING_TIME * 1e9)
@@ -180,10 +180,10 @@ class Campaign:
             found += [(t, ARMED, armed) for t in range(start, end, SECOND_NS // 2)]
         return sorted((f for f in found if f[0] < end), key=lambda f: f[0])
 
-    # -- talking to the node ---------------------------------------------------------------
+    # -- messages and calls ----------------------------------------------------------------
 
     def send(self, topic: str, data: bytes, hostile: bool = False) -> None:
-        """Send one message; wait for the node now and then, so that none is lost."""
+        """Send one message; wait for the node after each `BURST`, to lose none."""
         self._publish(topic, data, hostile)
         self._unheard[topic] += 1
         if self._unheard[topic] >= BURST[self._sim_time]:
@@ -192,13 +192,13 @@ class Campaign:
     def _publish(self, topic: str, data: bytes, hostile: bool) -> None:
         try:
             self.player.send(topic, data)
-        except RuntimeError:  # more bytes than this type can ever have
+        except RuntimeError:  # longer than the type allows
             return
         self.outcome.sent[topic] += 1
         self.outcome.hostile[topic] += hostile
 
     def wait(self) -> None:
-        """Wait until the node has dealt with what was sent."""
+        """Wait until the node has processed the messages."""
         self._unheard.clear()
         if self._process.poll() is not None:
             raise RuntimeError(f"the node has ended with status {self._process.returncode}")
@@ -206,7 +206,7 @@ class Campaign:
             self.outcome.problems.append("the node did not answer for 10 s")
 
     def _answer(self, client: Any, request: Any, timeout: float = 5.0) -> Any:
-        """Call a service and return the answer; None if there is none."""
+        """Call a service and return the response; None on a timeout."""
         future = client.call_async(request)
         if not self.player.spin_for(timeout, future.done):
             client.remove_pending_request(future)
@@ -214,7 +214,7 @@ class Campaign:
         return future.result()
 
     def listen(self, seconds: float) -> None:
-        """Hear what the node says for a while, and hold it against its bounds."""
+        """Receive the node's outputs for a time, and check their bounds."""
         self.player.spin_for(seconds)
         outcome, outputs = self.outcome, self.player.outputs
         outcome.problems += itertools.islice(out_of_bounds(outputs), 20)
@@ -229,10 +229,10 @@ class Campaign:
 
     def fly(
         self,
-        seconds: float = LEARNING_TIME,  # How much of it
+        seconds: float = LEARNING_TIME,  # Length of the part
         between: Callable[[], None] | None = None,  # Called after every Imu message
     ) -> None:
-        """Play the beginning of the flight, stamped from where the last one ended on."""
+        """Play the beginning of the flight, with stamps that continue the last one."""
         start = self._flight[0][0]
         shift_ns = self.now_ns + SECOND_NS // 20 - start if self.now_ns else 0
         clock_ns = 0
@@ -254,11 +254,11 @@ class Campaign:
 
     @cached_property
     def _replayed(self) -> OfflineRun:
-        """The replay of the flight, whose windows and inputs the score is of."""
+        """Return the replay of the flight, for the windows and inputs of the score."""
         return run_over(BAG, load_parameters(BAG / "identifier.yaml", "identifier"))
 
     def learned(self) -> PredictionFit:
-        """Fit of the coefficients that the node published last, on the end of the flight."""
+        """Return the fit of the node's last coefficients on the end of the flight."""
         self.listen(0.5)
         run = self._replayed
         learned = self._learned.reshape(run.structure.mask.shape)
@@ -267,10 +267,10 @@ class Campaign:
         )
         return run.score()["last_40_percent"]
 
-    # -- what is done to it ----------------------------------------------------------------
+    # -- disturbances ----------------------------------------------------------------------
 
     def mixed_with_flight(self) -> None:
-        """Hostile messages between the good ones of a flight, on every topic."""
+        """Send hostile messages between the good ones of a flight, on every topic."""
         imu = sum(topic == RATES for _, topic, _ in self._flight)
         share = self._count / imu
         due = 0.0
@@ -287,7 +287,7 @@ class Campaign:
         self.fly(between=between)
 
     def _send_hostile(self, topic: str) -> None:
-        """Send a hostile message, another one if it is too long to be sent."""
+        """Send a hostile message; draw another one if it is too long."""
         before = self.outcome.hostile[topic]
         while self.outcome.hostile[topic] == before:
             self.send(topic, self._hostile[topic].message(self.now_ns), hostile=True)
@@ -297,7 +297,7 @@ class Campaign:
             self.call_something()
 
     def floods(self) -> None:
-        """Good and hostile messages at 5 kHz, on each topic in turn."""
+        """Send good and hostile messages at 5 kHz, on each topic in turn."""
         good = {topic: data for _, topic, data in self._flight}
         for topic in self.topics:
             for bad in (False, True):
@@ -317,7 +317,7 @@ class Campaign:
                     self.wait()
 
     def silences(self) -> None:
-        """Each topic in turn falls silent, then vanishes and comes back."""
+        """Interrupt each topic in turn, then remove and restore its publisher."""
         for topic in self.topics:
             self.fly(2.0)
             self.listen(SILENCE)
@@ -330,14 +330,14 @@ class Campaign:
         self.fly(2.0)
 
     def fly_without(self, topic: str) -> None:
-        """Fly on for a second without one of the topics."""
+        """Fly a second without one of the topics."""
         whole = self._flight
         self._flight = [item for item in whole if item[1] != topic]
         self.fly(1.0)
         self._flight = whole
 
     def jumps(self) -> None:
-        """Jump the message time, and /clock with it, both ways and far."""
+        """Make large jumps of the message time, and of /clock, in both directions."""
         start = self.now_ns
         for seconds in (5.0, -3.0, 3600.0, -3600.0, 86400.0 * 400, -86400.0 * 400, 1.5, -1.5):
             self.now_ns = max(SECOND_NS, self.now_ns + int(seconds * 1e9))
@@ -350,7 +350,7 @@ class Campaign:
         self.fly(2.0)
 
     def call_something(self) -> None:
-        """Call one of the services, or set some parameters to something."""
+        """Call one of the services, or set random parameters."""
 
         def parameters() -> dict[str, Any]:
             count = self.chance.randrange(1, 6)
@@ -380,14 +380,14 @@ class Campaign:
         return answer
 
     def parameter_storm(self) -> None:
-        """Call services and set parameters without a pause while it flies."""
+        """Call services and set parameters continually in flight."""
         for _ in range(max(20, self._count // 500)):
             self.call_something()
 
     def calm_down(self) -> None:
-        """Set everything back as it was, and let it learn: without a reset."""
+        """Restore all parameters and switch learning on, without a reset."""
         own = load_parameters(BAG / "identifier.yaml", "identifier")
-        # the type as well: an empty array does not tell it
+        # with the type, which an empty array does not define
         parameters = [
             Parameter(s.name, PARAMETER_TYPES[s.type], own.get(s.name, s.default))
             for s in declarations()
@@ -421,10 +421,10 @@ class Campaign:
         return self.outcome
 
     def _phases(self) -> Iterator[Callable[[], None]]:
-        yield self.parameter_storm  # nothing has arrived yet
+        yield self.parameter_storm  # before the first message
         yield partial(self.fly, 5.0, self._call_now_and_then)
         yield self.calm_down
-        # From here on without a reset: that it gets well by itself is the point.
+        # No reset from here on: the node must recover without one.
         self._may_reset = False
         yield self.fly
         self.outcome.before = self.learned()
@@ -453,11 +453,11 @@ class Campaign:
                 outcome.problems.append(f"nothing was dropped of the {stream}")
 
     def resident_mb(self) -> float:
-        """Resident memory of the node, MB."""
+        """Return the resident memory of the node, MB."""
         return bench.resident_mb(self._process.pid)
 
     def end(self) -> None:
-        """End the node, which must end well, and leave the graph."""
+        """End the node, check its exit status, and leave the graph."""
         status, log = self._process.end(signal.SIGTERM), self._process.log
         if status != 0 or "Traceback" in log:
             tail = "\n".join(log.splitlines()[-30:])
@@ -466,7 +466,7 @@ class Campaign:
 
 
 def report(outcome: Outcome) -> Iterator[str]:
-    """Yield the lines that say what came of a campaign."""
+    """Yield the lines of a campaign's result."""
     status = outcome.status
     for topic, stream in STREAMS.items():
         if not outcome.sent[topic]:
@@ -491,7 +491,7 @@ def report(outcome: Outcome) -> Iterator[str]:
 
 
 def main() -> int:
-    """Run the campaign and print what came of it; the exit status is 1 if there is a problem."""
+    """Run the campaign and print its result; return the exit status, 1 if there is a problem."""
     options = bench.parser(__doc__, messages=100_000, seed=1).parse_args()
     failed = False
     for sim_time in (False, True):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flights of `flights.yaml`, flown when first asked for and kept if that took long.
+"""The flights of `flights.yaml`, flown at their first use and cached if that took long.
 
-Run as a program it lists them: ``python benchmarks/flights.py [NAME ...]`` flies the ones
-named and says what came out.
+``python benchmarks/flights.py`` lists them; ``python benchmarks/flights.py NAME ...`` flies the
+named ones and prints their results.
 """
 
 import hashlib
@@ -34,12 +34,12 @@ from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
 DEFINITIONS = Path(__file__).with_name("flights.yaml")
 CACHE = bench.BUILD / "flights"
 WORTH_KEEPING = 1.0
-"""Flights that took longer than this to fly, s, are kept on disk."""
+"""Shortest computing time of a flight that is cached on disk, s."""
 
 
 @cache
 def definitions() -> dict[str, dict[str, Any]]:
-    """Every flight's definition by name."""
+    """Return every flight's definition by name."""
     content = yaml.safe_load(DEFINITIONS.read_text(encoding="utf-8"))
     return {name: value for name, value in content.items() if not name.startswith(".")}
 
@@ -64,8 +64,8 @@ NESTED = {
 
 
 def plan_of(
-    # Either ``plant: NAME`` and the fields of `PlantFlight` (of `QuadrotorFlight`), or
-    # ``aircraft: NAME`` and those of `AircraftFlight`; ``inputs`` are the segments
+    # ``plant: NAME`` with the fields of `PlantFlight` or `QuadrotorFlight`, or ``aircraft: NAME``
+    # with those of `AircraftFlight`; ``inputs`` are the segments
     definition: Mapping[str, Any],
     seed: int | None = None,  # Seed of the disturbances instead of the definition's
 ) -> Plan:
@@ -90,13 +90,13 @@ def sensors_of(definition: Mapping[str, Any], **changes: Any) -> Sensors:
 
 
 def _flown(definition: Mapping[str, Any], seed: int | None) -> dict[str, Any]:
-    """Return what of a definition determines the flight."""
+    """Return the entries of a definition that determine the flight."""
     values = {k: v for k, v in definition.items() if k not in ("sensors", "description")}
     return values if seed is None else values | {"seed": seed}
 
 
 def key_of(definition: Mapping[str, Any], seed: int | None = None) -> str:
-    """Hash of what determines a flight."""
+    """Return a hash of all that determines a flight."""
     text = json.dumps(_flown(definition, seed), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -105,7 +105,7 @@ def load_flight(
     name: str,  # Name in `flights.yaml`
     seed: int | None = None,  # Seed of gusts or turbulence instead of the definition's
 ) -> Flight:
-    """Return a flight as it really was."""
+    """Return the noise-free record of a flight."""
     own = definition(name)
     path = CACHE / f"{name}-{key_of(own, seed)}-{_source_key()}.pickle"
     if path.exists():
@@ -124,7 +124,7 @@ def load(
     seed: int | None = None,  # Of everything random, instead of the definition's
     **sensor_changes: Any,  # Fields of `Sensors` that differ
 ) -> Measurements:
-    """Return a flight as its sensors saw it."""
+    """Return the measurements of a flight."""
     own = definition(name)
     flight = load_flight(name, seed)
     return measure(
@@ -134,7 +134,7 @@ def load(
 
 @cache
 def _source_key() -> str:
-    """Hash of the simulation's source: a kept flight is of the code that would fly it now."""
+    """Return a hash of the simulation's source: changed code invalidates cached flights."""
     digest = hashlib.sha256()
     for path in sorted(Path(simulation.__path__[0]).glob("*.py")):
         digest.update(path.read_bytes())
@@ -146,11 +146,11 @@ def _keep(flight: Flight, path: Path) -> None:
     handle, temporary = tempfile.mkstemp(dir=path.parent)
     with os.fdopen(handle, "wb") as file:
         pickle.dump(flight, file, protocol=pickle.HIGHEST_PROTOCOL)
-    os.replace(temporary, path)  # whole or not at all, whoever else is writing it
+    os.replace(temporary, path)  # atomic, also with concurrent writers
 
 
 def main() -> None:
-    """List the flights, or fly the ones named."""
+    """List the flights, or fly the named ones."""
     parser = bench.parser(__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="flights to fly (none)")
     wanted = parser.parse_args().names

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One online pass beside an offline fit: ``python benchmarks/free_output_error.py [FLIGHT ...]``.
 
-The offline fit minimises what is scored: the free prediction over 5 s, of windows in the first 60 %
-of the flight, by `scipy.optimize.least_squares`, with the structure, the prior and the flow states
-of the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q / r.
+The offline fit minimises the error of the score: that of free predictions over 5 s, in the first
+60 % of the flight. It uses `scipy.optimize.least_squares`, with structure, prior and flow states of
+the online pass. Both are scored over the last 40 %, at 1, 3 and 5 s, p / q / r.
 """
 
 from collections.abc import Iterator
@@ -21,16 +21,16 @@ from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.structure import CONSTANT_COLUMN, INPUT_COLUMNS, FloatArray
 
 HORIZON, APART = 5.0, 2.5
-"""Length of the windows that are fitted, and the time between their starts, s."""
+"""Length of the fitted windows, and time between their starts, s."""
 
 SETTLED = 15.0
-"""Time after which the online pass's flow states are taken as initial ones, s."""
+"""Time after which the online pass's flow states serve as initial ones, s."""
 
 STEP = 1e-4
 """Step of the difference quotient, relative to the coefficient or to 1."""
 
 LARGEST = 3.0
-"""Rate or angle at which a diverging prediction is held, rad/s and rad."""
+"""Limit of the rates and angles of a diverging prediction, rad/s and rad."""
 
 FLIGHTS = ("c172p_calm", "t37_calm", "ov10_calm")
 
@@ -42,7 +42,7 @@ class Windows:
     h: float  # Width of a cell, s
     x: FloatArray  # (m + 1, 3, W) Rates at the edges, rad/s
     u: FloatArray  # (m, 4, W) Inputs
-    start: FloatArray  # (8, W) State that the online pass has there
+    start: FloatArray  # (8, W) Initial state, from the online pass
     airspeed: FloatArray  # (W,) m/s
 
 
@@ -70,7 +70,7 @@ def windows(case: cases.Case, track: cases.Track) -> Windows:
 
 
 def predicted(a: FloatArray, flown: Windows) -> FloatArray:
-    """Rates that P models predict from the windows' starts, (m + 1, 3, P, W); a is (7, n, P)."""
+    """Return the rates that P models a, (7, n, P), predict in the windows, (m + 1, 3, P, W)."""
     models = a[..., None]
     state = [np.broadcast_to(part, (a.shape[2], part.size)) for part in flown.start]
 
@@ -89,13 +89,13 @@ def predicted(a: FloatArray, flown: Windows) -> FloatArray:
 
 
 def fit(case: cases.Case, track: cases.Track) -> FloatArray:
-    """Fit the structure of an online pass offline, (7, n), from what the pass had learned then."""
+    """Fit the structure of an online pass offline, (7, n), from its coefficients as the start."""
     start, flown = start_from(track.settings), windows(case, track)
     free = start.free
     weight = 1.0 / flown.x.std(axis=(0, 2))
 
     def residuals(thetas: FloatArray) -> FloatArray:
-        """Residuals of coefficients (k, P), then the prior's, (r, P)."""
+        """Return the residuals of coefficients (k, P), then those of the prior, (r, P)."""
         a = np.repeat(start.values[:, :, None], thetas.shape[1], axis=2)
         a[free] = thetas
         error = (predicted(a, flown) - flown.x[:, :, None]) * weight[:, None, None]
@@ -117,7 +117,7 @@ def fit(case: cases.Case, track: cases.Track) -> FloatArray:
 
 
 def row(flight: str) -> str:
-    """One row of the table."""
+    """Return the row of a flight."""
     case = cases.load(flight)
     track = cases.identify(case, {"structure": "flight_dynamics"})
     offline = track.constant(fit(case, track))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Free predictions over 1, 3 and 5 s: ``python benchmarks/free_prediction.py [FLIGHT ...]``.
 
-One online pass over each flight with defaults, p / q / r over the last 40 %, against the measured
-rates; beside it holding the rate, the model with the forces measured inside the window, and
-`augmented` with the forces measured. Recorded flights get their delay, and an airspeed of 17 m/s;
-with ``--airspeed`` the one that their bag has.
+The scores are those of one online pass with defaults over each flight: p / q / r over the last
+40 %, against the measured rates. Beside them are holding the rate, the model with the forces
+measured inside the window, and `augmented` with measured forces. Recorded flights have their delay,
+and an airspeed of 17 m/s; with ``--airspeed`` that of their bag.
 """
 
 from functools import partial
@@ -22,7 +22,7 @@ SIMULATED = tuple(
 
 
 def row(airspeed: str, flight: str) -> str:
-    """One row of the table, with an airspeed of that type, or without."""
+    """Return the row of a flight, with an airspeed of that type or without."""
     case = cases.load(flight)
     free, augmented = (
         cases.score(case, cases.identify(case, {"structure": structure, "airspeed.type": airspeed}))
@@ -35,7 +35,7 @@ def row(airspeed: str, flight: str) -> str:
 
 
 def triple(fit: FloatArray) -> str:
-    """Fits of p, q, r."""
+    """Return the fits of p, q, r as text."""
     return " / ".join(f"{value:.0f}" for value in fit)
 
 

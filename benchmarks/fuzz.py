@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutated logs and bags: each is read, or refused in one line, quickly and in little memory.
+"""Mutated logs and bags: each must be read, or refused in one line, quickly and in little memory.
 
-The whole command runs on each, in this process, so that nothing hides behind an exit status. The
-same seed gives the same files.
+The whole command runs on each in this process, to make exceptions visible. The same seed gives the
+same files.
 """
 
 import contextlib
@@ -37,22 +37,21 @@ from uav_ident_ros.offline.inputs import choose_inputs  # noqa: E402
 from uav_ident_ros.offline.run import OfflineRun  # noqa: E402
 
 LONGEST, MOST_MEMORY = 10.0, 500.0
-"""What reading one file may take, s of the processor, and the process may hold, MiB."""
+"""Limits for reading one file: processor time, s, and memory of the process, MiB."""
 
 ADDRESSES = 2 * 2**30
-"""Addresses that a process may have, bytes: what a file makes it take beyond that is its failure,
-not the end of the machine."""
+"""Address space of a process, bytes: a file that needs more fails, and the machine does not."""
 
 HUNG = 300
-"""Time after which a file hangs the reader, s, however busy the machine is."""
+"""Time after which the reader counts as hung, s, even on a busy machine."""
 
 SECONDS = 3.0
 
 
 class Outcome(NamedTuple):
-    """What became of one file: a word, the time it took (s), peak memory (MiB), words on it."""
+    """Result of one file, such as refused or FAILED; time (s); peak memory (MiB); output."""
 
-    word: str
+    result: str
     seconds: float
     memory: float
     printed: str
@@ -63,7 +62,7 @@ class Outcome(NamedTuple):
 
 def write_whole(folder: Path) -> dict[str, Path]:
     """Write one good file of each kind, of a few seconds."""
-    share = SECONDS / 10.0  # of the tests' flights
+    share = SECONDS / 10.0  # relative to the tests' flights
     files = {"ulg": ulog(folder, share), "bin": plane_log(folder, share=share)}
     files["csv"] = folder / "whole.csv"
     files["csv"].write_text(TABLE)
@@ -80,9 +79,9 @@ def write_whole(folder: Path) -> dict[str, Path]:
 
 
 def read_log(path: Path) -> tuple[str, str]:
-    """Import a log; return a word on the outcome and what was said of it.
+    """Import a log; return the result and the printed text.
 
-    The command promises one line, and nothing left behind, on a refusal: this is asserted.
+    A refusal must print one line and leave no output: this is asserted.
     """
     folder = path.with_suffix(".out")
     columns = path.with_suffix(".yaml")
@@ -102,7 +101,7 @@ def read_log(path: Path) -> tuple[str, str]:
 
 
 def read_bag(path: Path) -> tuple[str, str]:
-    """Run the identifier over a bag; return a word on the outcome and what was said of it."""
+    """Run the identifier over a bag; return the result and the printed text."""
     try:
         with Bag(path) as bag:
             offline = OfflineRun(choose_inputs(bag, {}))
@@ -115,9 +114,9 @@ def read_bag(path: Path) -> tuple[str, str]:
 
 
 def judge(
-    job: tuple[str, str, int, str],  # Kind, whole file, seed, folder for the spoilt ones
+    job: tuple[str, str, int, str],  # Kind, original file, seed, folder for the mutated ones
 ) -> Outcome:
-    """Mutate a file, read it, and say what became of it."""
+    """Mutate a file, read it, and return the result."""
     kind, whole, seed, folder = job
     content = mutated(Path(whole).read_bytes(), np.random.default_rng([seed, len(kind)]))
     path = Path(folder) / f"{kind.replace(' ', '_')}_{seed}.{kind.split()[0]}"
@@ -125,18 +124,18 @@ def judge(
     read = read_bag if kind.startswith("mcap") else read_log
     begin = time.process_time()
     try:
-        word, printed = read(path)
+        result, printed = read(path)
     except BaseException:
-        word, printed = "FAILED", f"{path.name}: {traceback.format_exc()}"
+        result, printed = "FAILED", f"{path.name}: {traceback.format_exc()}"
     seconds = time.process_time() - begin
     for file in (path, path.with_suffix(".yaml")):
         file.unlink(missing_ok=True)
     shutil.rmtree(path.with_suffix(".out"), ignore_errors=True)
-    return Outcome(word, seconds, bench.peak_mb(), printed)
+    return Outcome(result, seconds, bench.peak_mb(), printed)
 
 
 def judge_in_time(job: tuple[str, str, int, str]) -> Outcome:
-    """Judge a file; what takes too long has failed."""
+    """Judge a file; a file that takes too long has failed."""
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
     for number in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(number, _too_long)
@@ -154,7 +153,7 @@ def _too_long(*_: object) -> None:
 
 
 def main() -> int:
-    """Spoil and read; 1 if one file was neither read nor refused as it should."""
+    """Mutate and read files; return 1 if one was neither read nor refused properly, else 0."""
     parser = bench.parser(__doc__, workers=2)
     parser.add_argument("--count", type=int, default=5000, help="files of each kind (5000)")
     parser.add_argument("--only", default="", help="kinds that begin like this")
@@ -173,15 +172,15 @@ def main() -> int:
 
 
 def report(kind: str, outcomes: list[Outcome]) -> bool:
-    """Print what came of the files of one kind; return whether some failed."""
-    words = Counter(outcome.word for outcome in outcomes)
-    counts = ", ".join(f"{count} {word}" for word, count in sorted(words.items()))
+    """Print the results of the files of one kind; return whether any failed."""
+    results = Counter(outcome.result for outcome in outcomes)
+    counts = ", ".join(f"{count} {result}" for result, count in sorted(results.items()))
     slowest = max(outcome.seconds for outcome in outcomes)
     memory = max(outcome.memory for outcome in outcomes)
     print(f"{kind:10} {counts}; slowest {slowest:.1f} s, at most {memory:.0f} MiB", flush=True)
-    for outcome in [o for o in outcomes if o.word == "FAILED"][:5]:
+    for outcome in [o for o in outcomes if o.result == "FAILED"][:5]:
         print(outcome.printed)
-    return words["FAILED"] > 0 or memory > MOST_MEMORY
+    return results["FAILED"] > 0 or memory > MOST_MEMORY
 
 
 if __name__ == "__main__":

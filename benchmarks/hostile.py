@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hostile messages, parameters and bytes: what nobody should send or keep, and some will."""
+"""Hostile messages, parameters and bytes, drawn at random."""
 
 import math
 import random
@@ -13,38 +13,38 @@ import numpy as np
 SECOND_NS = 1_000_000_000
 
 POOL = 1500
-"""Messages prepared for a topic; their stamps are drawn anew each time."""
+"""Number of prepared messages of a topic; their stamps are drawn anew each time."""
 
 NUMBERS = (
     math.nan, math.inf, -math.inf, 1e308, -1e308, 1e12, 5e-324, -5e-324, 2.2e-308, -0.0, 1e-40,
     99.9,
 )  # fmt: skip
-"""Not finite, huge, denormal, and just plausible."""
+"""Hostile numbers: not finite, huge, denormal, and just plausible."""
 
 FRAMES = ("", "base_link_frd", "odom_ned", "x" * 3000, "\x7f", "базис", "/", "imu")
 
 STAMP = struct.Struct("<iI")
 STAMP_AT = 4
-"""Where the stamp is in the bytes of a message that begins with a header."""
+"""Offset of the stamp in the bytes of a message that begins with a header."""
 
 FIRST_YEARS = 2**31
-"""Seconds that a stamp can hold."""
+"""Upper limit of the seconds in a stamp."""
 
 
 def stamped(data: bytes, t_ns: int) -> bytes:
-    """Return a message that begins with a header, stamped with `t_ns`."""
+    """Return a message that begins with a header, with the stamp `t_ns`."""
     seconds = t_ns // SECOND_NS % FIRST_YEARS
     stamp = STAMP.pack(seconds, t_ns % SECOND_NS)
     return data[:STAMP_AT] + stamp + data[STAMP_AT + STAMP.size :]
 
 
 class Hostile:
-    """Makes hostile messages of one type."""
+    """Generator of hostile messages of one type."""
 
     def __init__(
         self,
         kind: type,  # Message class
-        chance: random.Random,  # Where they are drawn from
+        chance: random.Random,  # Source of randomness
     ) -> None:
         self._kind = kind
         self._chance = chance
@@ -52,7 +52,7 @@ class Hostile:
         self._pool = [self._make() for _ in range(POOL)]
 
     def message(self, now_ns: int) -> bytes:
-        """Return a message for the time `now_ns`, or with a stamp of any other time."""
+        """Return a message with the stamp `now_ns`, or a hostile one."""
         data = self._chance.choice(self._pool)
         if self._has_stamp and len(data) >= STAMP_AT + STAMP.size:
             return data[:STAMP_AT] + self._stamp(now_ns) + data[STAMP_AT + STAMP.size :]
@@ -72,7 +72,7 @@ class Hostile:
             case 4:
                 t_ns = now_ns + chance.randrange(4_000_000)
             case _:
-                t_ns = now_ns  # repeated
+                t_ns = now_ns  # a repeated stamp
         return STAMP.pack(t_ns // SECOND_NS % FIRST_YEARS, t_ns % SECOND_NS)
 
     def _make(self) -> bytes:
@@ -92,7 +92,7 @@ class Hostile:
 
 
 def example(kind: type) -> Any:
-    """Return a message that nobody would object to."""
+    """Return a valid message."""
     message = kind()
     if hasattr(message, "header"):
         message.header.frame_id = "imu_link"
@@ -118,7 +118,7 @@ def leaves(message: Any) -> Iterator[Callable[[float], None]]:
 
 
 def spoil_number(message: Any, chance: random.Random) -> None:
-    """Set one number, or all, to one that should not be there."""
+    """Set one number, or all, to a hostile value."""
     setters = list(leaves(message))
     if not setters:
         message.data = chance.random() < 0.5
@@ -129,7 +129,7 @@ def spoil_number(message: Any, chance: random.Random) -> None:
 
 
 def spoil_form(message: Any, chance: random.Random) -> None:
-    """Give a message another frame, other names, or another number of values."""
+    """Change the frame, the names or the number of values of a message."""
     if hasattr(message, "header"):
         message.header.frame_id = chance.choice(FRAMES)
     if hasattr(message, "position"):
@@ -142,7 +142,7 @@ def spoil_form(message: Any, chance: random.Random) -> None:
 
 
 def parameter(chance: random.Random) -> Any:
-    """Return a parameter of some name with some value, right or wrong."""
+    """Return a random parameter, valid or invalid."""
     from rclpy.parameter import Parameter
 
     from uav_ident_ros.identification.settings import declarations
@@ -163,12 +163,12 @@ INTEGERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 2**31 - 1, 2**31, 2**32 - 1,
 
 
 def mutated(content: bytes, chance: np.random.Generator) -> bytes:
-    """Return a spoilt copy: one to eight changes of a kind drawn at random."""
+    """Return a mutated copy: one to eight changes of random kinds."""
     data = bytearray(content)
     for _ in range(int(chance.integers(1, 9))):
         change = MUTATIONS[int(chance.integers(len(MUTATIONS)))]
         at = int(chance.integers(max(len(data), 1)))
-        if chance.random() < 0.3:  # where formats are declared
+        if chance.random() < 0.3:  # the part that declares formats
             at = min(at, int(chance.integers(1, 3000)))
         change(data, at, chance)
     return bytes(data)

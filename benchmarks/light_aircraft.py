@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A light aircraft of 3 kg in six degrees of freedom, its aerodynamics linear in the angles.
+"""A light aircraft of 3 kg in six degrees of freedom, with aerodynamics linear in the flow angles.
 
-The moments and forces are linear in rates, sideslip, angle of attack and surfaces, scaled with the
-dynamic pressure; the rest is a rigid body under gravity (Stevens and Lewis, "Aircraft Control and
-Simulation"). The true derivatives are known, the forces follow from the flow, and the autopilot
-feeds back: what an identified model has to find out on a real flight.
+Moments and forces are linear in rates, sideslip, angle of attack and surfaces, scaled with dynamic
+pressure. The equations of motion are those of a rigid body under gravity (Stevens and Lewis,
+"Aircraft Control and Simulation"). The true derivatives are known. As in a real flight, the forces
+depend on the flow, and the autopilot feeds back.
 """
 
 import math
@@ -31,7 +31,7 @@ TRUTH: dict[str, float] = {
     "ay/beta": -12.0, "ay/dr": 5.0,
     "az/alpha": -190.0, "az/de": -15.0,
 }  # fmt: skip
-"""Derivatives in trim, 1/s or 1/s^2 per rad, m/s^2 per rad. `alpha` is counted from trim."""
+"""Derivatives in trim, 1/s or 1/s^2 per rad, m/s^2 per rad. `alpha` is zero in trim."""
 
 _QR, _PR, _PQ = -0.70, 0.85, -0.25
 """Inertial coupling of roll, pitch and yaw, from the inertias."""
@@ -43,37 +43,37 @@ TURN_TIME = 10.0
 """Time of each of the alternating turns, s."""
 
 GUST_TIME, ROLL_GUST_TIME = 1.5, 0.3
-"""Correlation times of wind and of its rolling part, s: 30 m and 6 m of flight."""
+"""Correlation times of the wind and of its rolling component, s: 30 m and 6 m of flight."""
 
 TIME_TOLERANCE = 1e-9
-"""A change this close to a step happens at it, s."""
+"""Rounding tolerance for the time of a change, s."""
 
 State = tuple[float, float, float, float, float, float, float, float, float]
-"""Rates p q r (rad/s), speed u v w through the air (m/s), roll and pitch (rad), altitude (m)."""
+"""Rates p q r (rad/s), velocity u v w (m/s), roll and pitch (rad), altitude (m)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightFlight(Plan):
     """Flight of the light aircraft on its autopilot."""
 
-    rate: float = 200.0  # Of integration, too
+    rate: float = 200.0  # Of samples and integration, Hz
     actuator_rate: float = 50.0
     bank: float = 0.0  # Bank angle of alternating turns, deg
     gust: float = 0.0  # Wind on each axis, m/s rms
-    # Largest deflection of a surface, rad: commands beyond it are without effect
+    # Largest deflection of a surface, rad; it limits the commands
     travel: float = math.inf
     yaw_damper: float = 0.15  # Rudder per rad/s of yaw rate
     roll_gain: float = 0.2  # Aileron per rad of bank error; a tenth of it per rad/s of roll rate
-    # Rolling part of the wind, rad/s per m/s: 2 / span for eddies as large as the wing
+    # Rolling component of the wind, rad/s per m/s: 2 / span for eddies of the size of the wing
     roll_gust: float = 0.15
-    # From a time on, an input (``de`` and so on) has its effect multiplied, or all of a row
-    # (``pdot`` and so on), as by another inertia
+    # Factors from a time on, on the effect of an input (such as ``de``) or on a whole row (such as
+    # ``pdot``), as by another inertia
     changes: tuple[CoefficientChange, ...] = ()
     speed: float = SPEED  # True airspeed in trim, m/s
     derivatives: Mapping[str, float] = field(default_factory=lambda: TRUTH)  # In trim, as `TRUTH`
 
     def fly(self, name: str = "light_aircraft") -> Flight:
-        """Fly it; see `Plan.fly`."""
+        """Simulate the flight; see `Plan.fly`."""
         live = _LiveLight(self)
 
         def commanded(t: float, excitation: FloatArray) -> FloatArray:
@@ -106,13 +106,13 @@ class LightFlight(Plan):
 def _left(
     changes: Sequence[CoefficientChange], names: Sequence[str], time: float
 ) -> tuple[float, ...]:
-    """Return what inputs or rows do at `time` (s), relative to the start."""
+    """Return the factors on the effects of inputs or rows at `time` (s)."""
     now = [change.factors for change in changes if change.time <= time + TIME_TOLERANCE]
     return tuple(math.prod(factors.get(name, 1.0) for factors in now) for name in names)
 
 
 class _LiveLight(Live):
-    """It in flight: midpoint rule. A row has state, accelerations, forces and surfaces."""
+    """The aircraft, by the midpoint rule; a row has state, accelerations, forces and surfaces."""
 
     def __init__(self, spec: LightFlight) -> None:
         super().__init__(Sensors(rate=spec.actuator_rate), spec.delay, spec.seed, spec.rate)
@@ -142,7 +142,7 @@ class _LiveLight(Live):
 
 
 def _wind(spec: LightFlight, count: int) -> list[list[float]]:
-    """Wind v, w (m/s) and rolling p (rad/s) at each step."""
+    """Return the wind v, w (m/s) and its rolling p (rad/s) at each step."""
     rng = np.random.default_rng([spec.seed, 7])
     v_w = ColouredNoise(spec.gust, GUST_TIME).sample(count, 2, spec.rate, rng)
     p = ColouredNoise(spec.roll_gust * spec.gust, ROLL_GUST_TIME).sample(count, 1, spec.rate, rng)
@@ -151,7 +151,7 @@ def _wind(spec: LightFlight, count: int) -> list[list[float]]:
 
 
 def _autopilot(spec: LightFlight, state: State, t: float) -> FloatArray:
-    """Hold bank, altitude and speed, damp the yaw: de, dr, da, dth as deviations from trim."""
+    """Return de, dr, da, dth of the autopilot: bank, altitude and speed hold, yaw damper."""
     p, q, r, u, _, w, roll, pitch, altitude = state
     side = 1.0 if int(t / TURN_TIME) % 2 == 0 else -1.0
     bank = math.radians(spec.bank) * side
@@ -174,7 +174,7 @@ def _slope(
     gust: Sequence[float],
     moments: Sequence[float],
 ) -> tuple[State, tuple[float, float, float], tuple[float, float, float]]:
-    """Return the slope of the state, angular acceleration, rad/s^2, and specific force, m/s^2."""
+    """Return the state derivative, angular acceleration, rad/s^2, and specific force, m/s^2."""
     c = spec.derivatives
     p, q, r, u, v, w, roll, pitch, _ = state
     de, dr, da, dth = surfaces

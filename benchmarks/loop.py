@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The closed loop in one process, without ROS: for campaigns of many flights.
+"""The closed loop in one process, without ROS, for campaigns of many flights.
 
-The same aircraft, faults, reference, identifier and controllers as the nodes', called one after the
-other; coefficients count from the sample that makes them due. Faster than over DDS by far, and the
-same every time.
+Aircraft, faults, reference, identifier and controllers are those of the nodes, called in sequence.
+Coefficients are in use from the sample at which they are due. The loop is much faster than over
+DDS, and reproducible.
 """
 
 from collections.abc import Callable
@@ -29,13 +29,13 @@ from uav_ident_ros.simulation.preparation import SENSORS, Prepared
 from uav_ident_ros.simulation.rate_reference import NORMAL, Manoeuvres
 
 DELAY = 0.02
-"""From a sample to the surface that its command moves, s."""
+"""Delay from a sample to the action of its command, s."""
 
 Random = np.random.Generator
 
 
 class Controller(Protocol):
-    """What answers a sample."""
+    """Protocol of a controller, which returns a command for each sample."""
 
     def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
         """Return de, dr, da, dth, deviations from trim."""
@@ -43,19 +43,19 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Mission:
-    """One flight, and what goes wrong around the loop."""
+    """One flight, with the errors of the parts around the loop."""
 
     duration: float = 60.0  # s
     faults: tuple[str, ...] = ()  # As in `uav_ident_ros.simulation.faults`, with times
     seed: int = 0  # Of noise, turbulence and manoeuvres
     sensors: Sensors = SENSORS  # Of the Imu
-    delay: float = DELAY  # True one, s: identifier and controllers are told `DELAY`
-    dead: tuple[float, float] = (0.0, 0.0)  # When no identifier runs, s
-    cold: bool = False  # Whether the next one starts without coefficients
+    delay: float = DELAY  # True delay, s; identifier and controllers are configured for `DELAY`
+    dead: tuple[float, float] = (0.0, 0.0)  # Interval without an identifier, s
+    cold: bool = False  # Whether the next identifier has no initial coefficients
     clock: Callable[[float], float] = lambda t: 0.0  # Error of all stamps, s
-    # Rates as the Imu says them, or None for a message that is lost
+    # Rates in the Imu message; None for a lost message
     imu: Callable[[float, FloatArray, Random], FloatArray | None] = lambda t, x, rng: x
-    # What arrives of each set of coefficients
+    # Messages that arrive for a set of coefficients
     messages: Callable[[float, Coefficients, Random], list[Coefficients]] = lambda t, c, rng: [c]
     excitation: Callable[[float], FloatArray] = lambda t: np.zeros(4)
 
@@ -67,18 +67,18 @@ class Mission:
 
 @dataclass(eq=False)
 class Outcome:
-    """What came of it."""
+    """Result of one flight."""
 
-    # The verdicts of roll, pitch and yaw by tick, s; what speaks against the coefficients, empty
-    # for nothing; coefficients that the identifier released; and whose control derivatives each
-    # axis was flown on, whenever that changed
+    # With times, s: verdicts of roll, pitch and yaw at each tick; reasons against the coefficients,
+    # or empty; coefficients with a covariance reset; and each change of the sources of the axes'
+    # control derivatives
     usable: list[tuple[float, tuple[bool, bool, bool]]] = field(default_factory=list)
     denied: list[tuple[float, str]] = field(default_factory=list)
     changes: list[tuple[float, str]] = field(default_factory=list)
     sources: list[tuple[float, tuple[str, ...]]] = field(default_factory=list)
-    lost: float | None = None  # When the aircraft was lost, s
+    lost: float | None = None  # Time of the loss of the aircraft, s
     samples: list[Sample] = field(default_factory=list)
-    wanted: list[FloatArray] = field(default_factory=list)  # (3,) p, q, r at each, rad/s
+    wanted: list[FloatArray] = field(default_factory=list)  # (3,) Reference at each, rad/s
 
     @property
     def time(self) -> FloatArray:
@@ -91,7 +91,7 @@ class Outcome:
         return np.array([sample.rates for sample in self.samples])
 
     def error(self, start: float, end: float) -> FloatArray:
-        """Rms of true rates minus reference from `start` to `end` (s), shape (3,), deg/s."""
+        """Return the rms of true rates minus reference, `start` to `end` (s), (3,), deg/s."""
         inside = (self.time >= start) & (self.time < end)
         if not inside.any():
             return np.full(3, np.nan)
@@ -100,13 +100,13 @@ class Outcome:
 
 
 def nominal_of(prepared: Prepared) -> Coefficients:
-    """Coefficients of an aircraft as a controller takes them."""
+    """Return the nominal coefficients of an aircraft for a controller."""
     c = prepared.coefficients
     return Coefficients(STRUCTURES[c.structure], c.values, c.sigma, t_ns=c.t_ns)
 
 
 def make_identifier(prepared: Prepared, **settings: object) -> OnlineIdentifier:
-    """Return the identifier as the loop's node has it, FRD; `airspeed.type` "" for no airspeed."""
+    """Return the identifier of the loop, FRD; without airspeed if `airspeed.type` is empty."""
     values: dict[str, object] = {
         "structure": prepared.coefficients.structure,
         "imu.convention": "frd",
@@ -122,7 +122,7 @@ def make_identifier(prepared: Prepared, **settings: object) -> OnlineIdentifier:
 
 
 def message_of(identifier: OnlineIdentifier, estimate: Estimate) -> Coefficients:
-    """Return what the node would publish, as a controller takes it."""
+    """Return the coefficients of an estimate, as a controller receives them from the node."""
     return Coefficients(
         structure=identifier.structure,
         values=estimate.coefficients,
@@ -137,17 +137,17 @@ def message_of(identifier: OnlineIdentifier, estimate: Estimate) -> Coefficients
 
 @dataclass(eq=False)
 class Loop:
-    """A vehicle, who guides it, who controls it and who identifies it."""
+    """A vehicle with its reference, controller and identifier."""
 
     live: Live
-    trim: FloatArray  # (4,) What the controller's inputs are deviations from
+    trim: FloatArray  # (4,) Trim of the controller's inputs
     guide: Manoeuvres
     controller: Controller
     identifier: OnlineIdentifier | None = None
-    # What is added to the controller's inputs at a stamp, ns, and who hears each estimate
+    # Injection into the controller's inputs at a stamp, ns, and callback on each estimate
     inject: Callable[[int, FloatArray], FloatArray] = lambda _, u: u
     on_estimate: Callable[[Estimate], object] = lambda _: None
-    # Error of all stamps, s, and rates as the Imu says them, None for a lost message; at a time, s
+    # At a time, s: error of all stamps, s; rates in the Imu message, None for a lost one
     clock: Callable[[float], float] = lambda _: 0.0
     imu: Callable[[float, FloatArray], FloatArray | None] = lambda _, x: x
 
@@ -155,7 +155,7 @@ class Loop:
         self._u = np.zeros(4)
 
     def answer(self) -> tuple[Sample, FloatArray]:
-        """Answer the newest sample; return it and the rates wanted, (3,), rad/s."""
+        """Command the response to the newest sample; return it and the reference, (3,), rad/s."""
         live, sample = self.live, self.live.sample()
         t_ns = EPOCH_NS + round((sample.time + self.clock(sample.time)) * 1e9)
         roll, pitch = map(float, sample.attitude[:2])
@@ -182,10 +182,10 @@ def fly_loop(
     mission: Mission,  # The flight
     # Makes the controller, on a source of coefficients
     make: Callable[[CoefficientSource], Controller],
-    identifier: OnlineIdentifier | None = None,  # Identifies on the way; without it nothing is
-    live: LiveAircraft | None = None,  # In the place of the prepared aircraft at its own speed
+    identifier: OnlineIdentifier | None = None,  # The identifier, if any
+    live: LiveAircraft | None = None,  # By default the prepared aircraft at its speed
 ) -> Outcome:
-    """Fly once."""
+    """Fly a mission and return its result."""
     live = live or mission.take_off(prepared.aircraft, prepared.airframe.speed)
     speed = live.aircraft.airframe.speed
     guide = Manoeuvres(**NORMAL | {"airspeed": speed, "seed": mission.seed})
@@ -239,10 +239,10 @@ def rate_controller(
     prepared: Prepared,
     adaptive: bool = True,
     law: Law = IncrementalLaw,
-    gains: Gains | None = None,  # Its own by default
-    delay: float = DELAY,  # That it is told, s
+    gains: Gains | None = None,  # The law's by default
+    delay: float = DELAY,  # Configured delay, s
 ) -> Callable[[CoefficientSource], RateController]:
-    """Return what makes a `RateController` for `fly_loop`."""
+    """Return a factory of a `RateController` for `fly_loop`."""
     limits = prepared.limits - prepared.trim
 
     def make(source: CoefficientSource) -> RateController:

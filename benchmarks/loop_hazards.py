@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may go wrong around the loop: settings, messages, clocks, an identifier that is killed.
+"""Errors of the parts around the loop: settings, messages, clocks, a killed identifier.
 
-Each hazard is flown by the adaptive loop and by INDI on fixed coefficients, on the same manoeuvres,
-in one process, as in ``fault_campaign.py``, whose aircraft and speeds it uses. The adaptive loop
-must not be lost where the fixed one survives.
+The adaptive loop and INDI on fixed coefficients fly each hazard with the same manoeuvres, in one
+process, with the aircraft and bandwidths of ``fault_campaign.py``. The adaptive loop must not be
+lost where the fixed one survives.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,51 +24,51 @@ from uav_ident_ros.simulation.preparation import Prepared
 
 DURATION = 45.0
 SPANS = ((5.0, 15.0), (15.0, 30.0), (30.0, DURATION))
-"""What is compared: before, during and after most hazards, s."""
+"""Compared intervals, s: before, during and after most hazards."""
 
 Delivered = Callable[[float, Coefficients, Random], list[Coefficients]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hazard(Mission):
-    """What is not as it should be."""
+    """An error of the settings or of the parts around the loop."""
 
-    told: float = DELAY  # The delay that controller and identifier are told, s
-    trim: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Error of the told trim, rad
-    speed: float = 1.0  # Airspeed over the one that the coefficients are of
+    configured: float = DELAY  # Configured delay of controller and identifier, s
+    trim: tuple[float, float, float] = (0.0, 0.0, 0.0)  # Error of the configured trim, rad
+    speed: float = 1.0  # Airspeed relative to that of the coefficients
     airspeed: bool = True  # Whether it is measured
 
 
 def lost(share: float) -> Delivered:
-    """Lose that share of all messages."""
+    """Return a channel that loses a share of all messages."""
     return lambda t, c, rng: [] if rng.random() < share else [c]
 
 
 def scaled(c: Coefficients, factor: float) -> Coefficients:
-    """Coefficients of an aircraft whose inputs do more or less."""
+    """Return coefficients with the effects of the inputs times a factor."""
     values = c.values.copy()
     values[:3, INPUT_COLUMNS] *= factor
     return replace(c, values=values)
 
 
 def also(factor: float) -> Delivered:
-    """Another publisher, of another aircraft, from 15 s on."""
+    """Return a channel with a second publisher, of another aircraft, from 15 s on."""
     return lambda t, c, rng: [c, scaled(c, factor)] if t > 15.0 else [c]
 
 
 def stamped(seconds: float, after: float = 15.0) -> Delivered:
-    """Stamps that are off by so much."""
+    """Return a channel with a constant error of the stamps."""
     off_ns = round(seconds * 1e9)
     return lambda t, c, rng: [replace(c, t_ns=c.t_ns + off_ns) if t > after else c]
 
 
 def gaps(length: float, period: float) -> Callable[..., FloatArray | None]:
-    """Gaps of the Imu."""
+    """Return an Imu with periodic gaps, s."""
     return lambda t, x, rng: None if t > period and t % period < length else x
 
 
 def excited(t: float) -> FloatArray:
-    """Excitation that is aborted in the middle of a swing."""
+    """Return an excitation that is aborted in the middle of a swing."""
     swing = np.array([0.04, 0.04, 0.05, 0.0]) * np.sin([9 * t, 7 * t, 11 * t, 0])
     return np.asarray((10.0 < t < 20.3) * swing)
 
@@ -79,8 +79,8 @@ HAZARDS = {
     "none": Hazard(),
     "delay 40 ms, told 20": Hazard(delay=0.04),
     "delay 60 ms, told 20": Hazard(delay=0.06),
-    "delay 20 ms, told 40": Hazard(told=0.04),
-    "delay 20 ms, told 60": Hazard(told=0.06),
+    "delay 20 ms, told 40": Hazard(configured=0.04),
+    "delay 20 ms, told 60": Hazard(configured=0.06),
     "delay 60 ms, told 20, aileron halved": Hazard(faults=HALVED, delay=0.06),
     "trim off by 0.05, 0.03, 0.05 rad": Hazard(trim=(0.05, 0.03, 0.05)),
     "trim off, aileron halved": Hazard(faults=HALVED, trim=(-0.05, -0.03, -0.05)),
@@ -122,17 +122,17 @@ HAZARDS = {
 def fly(
     prepared: Prepared, factor: float, adaptive: bool, hazard: Hazard, seed: int
 ) -> dict[str, Any]:
-    """Fly once; errors in deg/s, what the axes were flown on, and when the aircraft was lost."""
+    """Fly once; return errors in deg/s, sources of the axes, and the time of a loss."""
     mission = replace(hazard, duration=DURATION, seed=seed)
     live = mission.take_off(prepared.aircraft, prepared.airframe.speed * hazard.speed)
     trim = live.trim + np.append(hazard.trim, 0.0)
-    told = replace(prepared, trim=trim, limits=live.aircraft.limits)
-    settings: dict[str, Any] = {"actuators.delay": hazard.told}
+    flown = replace(prepared, trim=trim, limits=live.aircraft.limits)
+    settings: dict[str, Any] = {"actuators.delay": hazard.configured}
     settings |= {} if hazard.airspeed else {"airspeed.type": ""}
     gains = IncrementalLaw.gains.times(factor)
-    make = rate_controller(told, adaptive, gains=gains, delay=hazard.told)
-    identifier = make_identifier(told, **settings) if adaptive else None
-    outcome = fly_loop(told, mission, make, identifier, live)
+    make = rate_controller(flown, adaptive, gains=gains, delay=hazard.configured)
+    identifier = make_identifier(flown, **settings) if adaptive else None
+    outcome = fly_loop(flown, mission, make, identifier, live)
     flown_on = zip(*(sources for _, sources in outcome.sources), strict=True)
     return {
         "lost": outcome.lost,
@@ -142,14 +142,14 @@ def fly(
 
 
 def line(flight: dict[str, Any]) -> str:
-    """Errors of roll, pitch and yaw in the spans, or when the aircraft was lost."""
+    """Return the errors of roll, pitch and yaw in the intervals, or the time of the loss."""
     if flight["lost"] is not None:
         return f"**lost** at {flight['lost']:.0f} s"
     return ", ".join(" / ".join(f"{x:.1f}" for x in error) for error in flight["errors"][1:])
 
 
 def lines(found: dict[str, list[dict[str, Any]]]) -> Iterator[str]:
-    """Table of all flights."""
+    """Yield the table of all flights."""
     spans = " and ".join(f"{a:.0f} to {b:.0f}" for a, b in SPANS[1:])
     head = ("hazard", "aircraft", f"adaptive, deg/s, {spans} s", "INDI, fixed", "flown on")
     rows = []
@@ -180,7 +180,7 @@ def main() -> None:
                         fly(prepared, factors[who], who == ADAPTIVE, HAZARDS[hazard], options.seed)
                         for who in (ADAPTIVE, "INDI")
                     ]
-                except SimulationError as error:  # it cannot fly at that speed
+                except SimulationError as error:  # no trim at that speed
                     print(hazard, name, error, sep="  ", flush=True)
                     continue
                 found[f"{hazard}: {name}"] = pair

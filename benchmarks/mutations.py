@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a test notices each constant: ``python benchmarks/mutations.py [MODULE ...]``.
+"""Mutation test of the core's constants: ``python benchmarks/mutations.py [MODULE ...]``.
 
-Every number that a module of the core declares by a name in capitals is halved and doubled in turn,
-in a copy of the repository, and the quick tests of that module are run. A constant that no test
-notices is one that nobody can defend: give it a test, or do without it. What follows from others is
-none, nor is what `GIVEN` lists; ``--list`` counts the rest.
+In a copy of the repository each number with a name in capitals is halved, then doubled, and the
+quick tests of its module run. A constant whose change no test detects needs a test, or must go.
+Numbers computed from others, and those in `GIVEN`, do not count; ``--list`` lists the rest.
 """
 
 import ast
@@ -50,7 +49,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "settings": ("test_settings.py", "test_injected.py"),
     "identifier": ("test_model.py", "test_estimators.py", "test_resume.py"),
 }
-"""Quick tests of a module, in test/identification, where it is not test_MODULE.py alone."""
+"""Quick tests of a module in test/identification, if more or others than test_MODULE.py."""
 
 GIVEN = {
     "units": {"GRAVITY", "NS", "SECOND_NS"},
@@ -68,11 +67,11 @@ GIVEN = {
         "SETTLED_NS",
     },
 }  # fmt: skip
-"""Names of numbers that nobody chose, by what gives them."""
+"""Names of numbers that are no choice, by their origin."""
 
 FACTORS = (0.5, 2.0)
 LONGEST = 900.0
-"""Time after which a run counts as noticed, s: a constant that makes the tests hang is."""
+"""Time limit of the tests, s: a change that makes them hang counts as detected."""
 
 
 def path_of(module: str) -> Path:
@@ -81,7 +80,7 @@ def path_of(module: str) -> Path:
 
 
 def constants(module: str) -> Iterator[str]:
-    """Yield the numbers that a module chooses, by names in capitals."""
+    """Yield the names of a module's chosen numbers, in capitals."""
     given = set().union(*GIVEN.values())
     for name, node in _declared((ROOT / path_of(module)).read_text(encoding="utf-8")).items():
         inner = list(ast.walk(node.value))
@@ -93,14 +92,14 @@ def constants(module: str) -> Iterator[str]:
 
 
 def _declared(source: str) -> dict[str, ast.Assign]:
-    """Return what a module declares by names in capitals."""
+    """Return the declarations of names in capitals."""
     found = {}
     for node in ast.parse(source).body:
         if not isinstance(node, ast.Assign):
             continue
         target = node.targets[0]
         for name in target.elts if isinstance(target, ast.Tuple) else [target]:
-            # behind an underscore are places in tables
+            # names with an underscore are indices of tables
             if isinstance(name, ast.Name) and name.id.isupper() and name.id[0] != "_":
                 found[name.id] = node
     return found
@@ -111,11 +110,11 @@ SCALED = (
     "tuple(e * {by} for e in v) if isinstance(v, tuple) else "
     "type(v)(v * {by}) if isinstance(v, int | float) else v * {by})({name})"
 )
-"""A number, or every number of a table, multiplied; whole numbers stay whole."""
+"""Code that multiplies a number, or every number of a table; integers stay integers."""
 
 
 def mutated(source: str, constant: str, factor: float) -> str:
-    """Return the source with a constant multiplied where it is declared."""
+    """Return the source with a factor on the declaration of a constant."""
     node = _declared(source)[constant]
     lines = source.splitlines(keepends=True)
     assert node.end_lineno is not None and node.end_col_offset is not None
@@ -125,7 +124,7 @@ def mutated(source: str, constant: str, factor: float) -> str:
 
 
 def notices(folder: Path, tests: Sequence[str]) -> bool:
-    """Whether a test fails in a copy of the repository."""
+    """Return whether a test fails in a copy of the repository."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
     try:
@@ -138,7 +137,7 @@ def notices(folder: Path, tests: Sequence[str]) -> bool:
 
 
 def tests_of(module: str) -> tuple[str, ...]:
-    """Return the quick tests of a module; none if it has none."""
+    """Return the quick tests of a module, possibly none."""
     name = module.rpartition(".")[2]
     names = TESTS.get(name, (f"test_{name}.py",))
     found = [Path("test") / "identification" / test for test in names]
@@ -146,7 +145,7 @@ def tests_of(module: str) -> tuple[str, ...]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the mutations; the status is 1 if one goes unnoticed."""
+    """Run the mutations; return the exit status, 1 if one is not detected."""
     parser = bench.parser(__doc__)
     parser.add_argument("modules", nargs="*", help="modules of the core (all)")
     parser.add_argument("--constants", nargs="+", help="these alone")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node costs while it runs: ``python benchmarks/node_cost.py``.
+"""Cost of the running node: ``python benchmarks/node_cost.py``.
 
-The node runs as a process of its own, a second process publishes a flight of `flights.yaml` to it
-in real time (stamped actuators at 50 Hz), and this one listens. The ages of a tick hold what it
-waits for, up to `input_wait`, and a fifth of its period at most until the timer looks. ``--hour``
-plays an hour of flight instead, as fast as the node takes it, and prints its memory.
+The node is a process of its own. A second process publishes a flight of `flights.yaml` to it in
+real time (stamped actuators at 50 Hz), and this one subscribes to its outputs. The age of a tick
+includes its wait for inputs, up to `input_wait`, and for the timer, up to a fifth of its period.
+``--hour`` plays an hour of flight at the node's speed instead, and prints its memory.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from uav_ident_ros.simulation.recording import as_message
 
 FLIGHT = "exact_noise_002"
 ACTUATOR_EVERY = 2
-"""Every second actuator sample of the flight is sent: 50 Hz."""
+"""Decimation of the flight's actuator samples: 50 Hz remain."""
 
 WARM_UP = 5.0
-"""Seconds before the measurement begins: discovery, the estimator's start."""
+"""Time before the measurement, s, for discovery and the start of the estimator."""
 
 DISCOVERY = 2.0
 SETTLE = 2.5
-"""Seconds for the last diagnostics to arrive."""
+"""Time for the last diagnostics to arrive, s."""
 
 MARGIN = 2.0
 
@@ -52,7 +52,7 @@ TICKS_PER_SECOND = os.sysconf("SC_CLK_TCK")
 
 
 def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, bytes]]:
-    """Messages of the flight with the time since its start, ns, in order; without stamps."""
+    """Yield the unstamped messages of the flight in order, with the time since its start, ns."""
     flight = flights.load(FLIGHT, rate=imu_rate)
     start = int(flight.imu_t_ns[0])
     flown, every = list(flight.messages()), {RATES: 1, ACTUATORS: ACTUATOR_EVERY}
@@ -67,7 +67,7 @@ def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, byte
 
 
 def publish(imu_rate: float, seconds: float, ready: object, sent: Queue[dict[str, int]]) -> None:
-    """Publish the flight in real time, stamped with the system's time."""
+    """Publish the flight in real time, with stamps of the system's time."""
     messages = list(serialized(imu_rate, seconds))
     guest = Guest("flight")
     publishers = {
@@ -95,7 +95,7 @@ def publish(imu_rate: float, seconds: float, ready: object, sent: Queue[dict[str
 
 
 def cpu_seconds(pid: int) -> float:
-    """Processor time of a process so far, s."""
+    """Return the processor time of a process up to now, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / TICKS_PER_SECOND
 

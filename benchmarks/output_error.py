@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Offline output-error fit of a model structure: what a single pass is measured against.
+"""Offline output-error fit of a model structure, the reference for a single online pass.
 
-Multiple shooting: the record is cut into windows of one second, each with an initial state of
-its own; coefficients and initial states minimise the weighted squared distance of the model's
-rates from the measured ones (Jategaonkar, Flight Vehicle System Identification, 2015, ch. 4).
-The initial states are eliminated in each step (Kaufman's variable projection), which leaves
-`scipy.optimize.least_squares` a dense problem in the coefficients alone.
+The method is multiple shooting. The record is cut into windows of one second, each with its own
+initial state. Coefficients and initial states minimise the weighted squared residuals of the
+rates (Jategaonkar, Flight Vehicle System Identification, 2015, ch. 4). Kaufman's variable
+projection eliminates the initial states in each step: `scipy.optimize.least_squares` then solves a
+dense problem in the coefficients alone.
 """
 
 from collections.abc import Sequence
@@ -30,17 +30,17 @@ WINDOW = 1.0
 """Length of a shooting window, s."""
 
 TRAINING_PART = 0.6
-"""Share of the flight that is fitted."""
+"""Fitted share of the flight."""
 
 REWEIGHTINGS, EVALUATIONS = 2, 40
-"""Fits, after each of which the axes are weighted anew by their residuals, and evaluations in each
-at most."""
+"""Number of fits, each with new weights of the axes from their residuals; and largest number of
+evaluations in each."""
 
 STATE_STEP = 1e-4
 """Step of the difference quotient in an initial rate, rad/s."""
 
 COEFFICIENT_STEP = 1e-5
-"""Step in a coefficient, relative to the least size below or to the coefficient."""
+"""Step in a coefficient, relative to the larger of the coefficient and the least size below."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Windows:
 
 
 def cut_windows(blocks: Sequence[Block], first_ns: float, last_ns: float) -> Windows:
-    """Cut the signals between two times into windows that follow one another."""
+    """Cut the signals between two times into consecutive windows."""
     m = max(1, round(WINDOW / blocks[0].h))
     x, u, force = [], [], []
     for block in blocks:
@@ -73,9 +73,9 @@ def simulate(
     x0: FloatArray,  # (3, P, W) Initial rates
     windows: Windows,  # Measured inputs and specific forces
 ) -> FloatArray:
-    """Return the rates that models have at the edges of windows, shape (m + 1, 3, P, W).
+    """Return the models' rates at the edges of the cells, shape (m + 1, 3, P, W).
 
-    Runge-Kutta of order 4, inputs held over the cells.
+    Integration is Runge-Kutta of order 4, with constant inputs in each cell.
     """
     drives = ((*_drive(a, windows, k), windows.h) for k in range(len(windows.u)))
     out = [x0.copy()]
@@ -115,17 +115,17 @@ class Problem:
         self._at: FloatArray | None = None
 
     def matrices(self, theta: FloatArray) -> FloatArray:
-        """Coefficient matrices (3, n, P, 1) of P coefficient vectors (k, P)."""
+        """Return the coefficient matrices (3, n, P, 1) of P coefficient vectors (k, P)."""
         a = np.zeros((*self.free.shape, theta.shape[1], 1))
         a[self.free] = theta[:, :, None]
         return a
 
     def residual(self, theta: FloatArray) -> FloatArray:
-        """Residuals with the best initial states, then the prior's."""
+        """Return the residuals with the best initial states, then those of the prior."""
         return self._evaluate(theta)[0]
 
     def jacobian(self, theta: FloatArray) -> FloatArray:
-        """Their derivative."""
+        """Return the derivative of the residuals."""
         return self._evaluate(theta)[1]
 
     def _evaluate(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -137,7 +137,7 @@ class Problem:
         return self._value
 
     def _improved_start(self, theta: FloatArray) -> FloatArray:
-        """One Gauss-Newton step of the initial states, (3, W)."""
+        """Return the initial states after one Gauss-Newton step, (3, W)."""
         start = self._perturbed(self.x0)
         path = simulate(self.matrices(theta[:, None]), start, self.windows)
         residual, slopes = self._weighted(path)
@@ -146,14 +146,14 @@ class Problem:
         return np.asarray(self.x0 - step.T)
 
     def _perturbed(self, x0: FloatArray) -> FloatArray:
-        """Return the initial states, then each rate moved in turn, (3, 4, W)."""
+        """Return the initial states, then those with one rate perturbed, (3, 4, W)."""
         start = np.repeat(x0[:, None], 4, axis=1)
         for i in range(3):
             start[i, 1 + i] += STATE_STEP
         return start
 
     def _weighted(self, path: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Residuals (W, 3 (m + 1)) and their slopes in the initial state (W, 3 (m + 1), 3)."""
+        """Return residuals (W, 3 (m + 1)) and derivatives by initial state (W, 3 (m + 1), 3)."""
         weight = self.weight[:, None]
         base = path[:, :, 0]
         residual = _by_window((base - self.windows.x) * weight)
@@ -180,7 +180,7 @@ class Problem:
         both = np.concatenate([residual[:, :, None], jacobian], axis=2)
         both -= q @ (q.transpose(0, 2, 1) @ both)
         flat = both.reshape(-1, count + 1)
-        # The same prior as online: a rigid body's inertia ratios lie within -1 ... 1.
+        # The online prior: the inertia ratios of a rigid body lie within -1 ... 1.
         prior = np.zeros((len(self._products), count))
         prior[np.arange(len(self._products)), self._products] = 1.0 / PRODUCT_SIGMA
         return (
@@ -197,14 +197,14 @@ class Problem:
 
 
 def _by_window(values: FloatArray) -> FloatArray:
-    """(m + 1, 3, W) as (W, 3 (m + 1))."""
+    """Return values (m + 1, 3, W) as (W, 3 (m + 1))."""
     return np.ascontiguousarray(values.transpose(2, 0, 1)).reshape(values.shape[2], -1)
 
 
 def fit(
     case: Case,  # The flight
     settings: Settings,  # Structure, fixed coefficients, delay and lag
-    starts: Sequence[FloatArray],  # (3, n) Coefficients to start from; the best fit of all counts
+    starts: Sequence[FloatArray],  # (3, n) Initial coefficients of the fits; the best fit counts
 ) -> FloatArray:
     """Return the coefficients of the settings' structure, (3, n), fitted to `TRAINING_PART`."""
     free = start_from(settings).free
@@ -226,7 +226,7 @@ def fit(
             )
             theta = found.x
             problem.reweight(theta)
-        # Likelihood with the noise of each axis unknown: the product of the residuals' sizes.
+        # With unknown noise variance the likelihood depends on the product of the residuals' rms.
         outcomes.append((float(-np.log(problem.weight).sum()), theta))
     coefficients = np.zeros(free.shape)
     coefficients[free] = min(outcomes, key=lambda outcome: outcome[0])[1]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rate loop of the usual autopilots, for comparison: PID and feed-forward, axis by axis.
+"""The rate loop of common autopilots, for comparison: PID and feed-forward, axis by axis.
 
     u_i = F_i reference_i + P_i (reference_i - x_i) + I_i integral - D_i xdot_f,i
 
-one surface for each axis, the integrator held while its surface is at a limit.
+Each axis has one surface. The integrator is held while its surface is at a limit.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from uav_ident_ros.control.reference import MAX_INTERVAL, Smoother
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 SURFACES = tuple(INPUTS.index(name) for name in ("da", "de", "dr"))
-"""The input of roll, pitch and yaw."""
+"""Indices of the inputs of roll, pitch and yaw."""
 
 
 @dataclass(frozen=True)
@@ -26,18 +26,18 @@ class PidGains:
     proportional: FloatArray
     integral: FloatArray
     derivative: FloatArray
-    bandwidth: float = 30.0  # Of the filter of the derivative, rad/s
+    bandwidth: float = 30.0  # Of the derivative's filter, rad/s
 
 
 class PidController:
-    """PID rate control; `limits` as of `IncrementalLaw`."""
+    """PID rate control; `limits` as in `IncrementalLaw`."""
 
     def __init__(self, limits: FloatArray, gains: PidGains) -> None:
         self._low, self._high = limits[:, SURFACES]
         self.gains, self._last_ns = gains, 0
 
     def update(self, t_ns: int, x: FloatArray, reference: FloatArray) -> FloatArray:
-        """Return de, dr, da, dth, deviations from trim; parameters as of `RateController`."""
+        """Return de, dr, da, dth, deviations from trim; parameters as in `RateController`."""
         dt, self._last_ns = (t_ns - self._last_ns) * 1e-9, t_ns
         if not 0.0 < dt < MAX_INTERVAL:
             self._rates, self._integral = Smoother(self.gains.bandwidth, x), np.zeros(3)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights of aircraft drawn at random: what an identifier meets that was tuned on none of them.
+"""Flights of aircraft drawn at random, none of which served for tuning.
 
-Everything is drawn: airspeed, quickness and derivatives of the aircraft; rate, noise and place of
-its Imu; delay and lag, and whether they were told rightly; the reference airspeed; gusts and
-turns; who excites, how hard and for how long; which surface loses how much of its effect, and when.
+Random are airspeed, natural frequencies and derivatives of the aircraft; rate, noise and position
+of its Imu; delay and lag, and whether they are configured correctly; the reference airspeed; gusts
+and turns; kind, amplitude and duration of the excitation; size and time of a surface's loss.
 """
 
 import math
@@ -29,7 +29,7 @@ SPREAD: Mapping[str, tuple[float, float]] = {
     "rdot/da": (-1.0, 3.0),
     "ay/beta": (0.4, 1.7), "ay/dr": (0.2, 1.6), "az/alpha": (0.25, 1.2), "az/de": (0.2, 2.0),
 }  # fmt: skip
-"""Smallest and largest of each derivative, relative to that of the light aircraft."""
+"""Range of each derivative, relative to that of the light aircraft."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,13 @@ class Draw:
 
     flight: LightFlight
     sensors: Sensors
-    settings: Mapping[str, Any]  # That differ from those that fit the topics
+    settings: Mapping[str, Any]  # Besides those for the topics
     excited: bool
-    words: str
+    label: str
 
 
 def draw(seed: int) -> Draw:
-    """Draw a flight."""
+    """Draw aircraft, sensors, settings and flight for a seed."""
     rng = np.random.default_rng([seed, 99])
 
     def between(low: float, high: float) -> float:
@@ -88,19 +88,19 @@ def draw(seed: int) -> Draw:
         "actuators.estimate_delay": one_of(False, False, True),
         "airspeed.reference": speed * one_of(1.0, 1.0, 0.8, 1.25),
     }
-    words = (
+    label = (
         f"{speed:.0f} m/s, {how or 'not excited'} x {scale:.2f}, Imu {sensors.rate:g} Hz, wind "
         f"{flight.gust:.1f}, delay {1e3 * delay:g} ms, lag {1e3 * lag:g} ms"
         + (f", {surface} x {left:g}" if fails else "")
     )
-    return Draw(flight, sensors, settings, bool(how), words)
+    return Draw(flight, sensors, settings, bool(how), label)
 
 
 def _derivatives(speed: float, quick: float, factors: Mapping[str, float]) -> dict[str, float]:
-    """Return derivatives of an aircraft that is so quick, relative to the light one.
+    """Return derivatives of an aircraft with natural frequencies `quick` times the light one's.
 
-    What rates do goes with the quickness, what angles do with its square; in level flight lift is
-    weight, whatever the airspeed.
+    Derivatives by rates grow with this factor, those by angles with its square. In level flight
+    lift equals weight at any airspeed.
     """
     out = {}
     for name, factor in factors.items():
@@ -115,7 +115,7 @@ def _derivatives(speed: float, quick: float, factors: Mapping[str, float]) -> di
 
 
 def _peaks(derivatives: Mapping[str, float]) -> dict[str, float]:
-    """Return peak deflections, rad, that turn about so much as a pilot would."""
+    """Return peak deflections, rad, with angular accelerations like those by a pilot."""
     roll = 0.5 * abs(derivatives["pdot/p"] / derivatives["pdot/da"])
     pitch = 0.09 * max(-derivatives["qdot/alpha"], 9.0) / -derivatives["qdot/de"]
     yaw = 0.15 * derivatives["rdot/beta"] / -derivatives["rdot/dr"]
@@ -123,7 +123,7 @@ def _peaks(derivatives: Mapping[str, float]) -> dict[str, float]:
 
 
 def fly(seed: int) -> Measurements:
-    """Fly what is drawn; the truth is that at the mean airspeed flown."""
+    """Fly the drawn flight; its truth holds at the mean airspeed flown."""
     drawn = draw(seed)
     flight = drawn.flight.fly()
     assert flight.airspeed is not None

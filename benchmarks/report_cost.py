@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a long flight costs: ``python benchmarks/report_cost.py``.
+"""Cost of the replay and the report of a long flight: ``python benchmarks/report_cost.py``.
 
-Each flight is replayed with a report in a process of its own, beside one that iterates over the raw
-messages with rosbags; headless Chromium then opens the page: wall and CPU time until what is in
-sight is drawn, and until all charts are.
+Each flight is replayed with a report in a process of its own, beside an iteration over its raw
+messages with rosbags. Headless Chromium then opens the page. Measured are wall and CPU time until
+the visible part is drawn, and until all charts are.
 """
 
 import subprocess
@@ -21,10 +21,10 @@ from chromium import CHROMIUM, DRAWN, IN_SIGHT, Browser
 from uav_ident_ros.simulation.cli import main as simulate
 
 LOOK = 0.05
-"""Interval at which the memory of a process is read, s."""
+"""Period for reading the memory of a process, s."""
 
 ROUNDS = 3
-"""Times that a page is opened: the quickest counts."""
+"""Number of times that a page is opened; the shortest time counts."""
 
 RAW = "import sys; from rosbags.rosbag2 import Reader\nfor _ in Reader(sys.argv[1]).__enter__()"
 RAW += ".messages(): pass"
@@ -38,13 +38,13 @@ def cost(command: list[str]) -> tuple[float, float]:
             peak = max(peak, bench.peak_mb(process.pid))
             time.sleep(LOOK)
         errors = process.stderr.read() if process.stderr is not None else b""
-    if process.returncode not in (0, 1):  # usable or not
+    if process.returncode not in (0, 1):  # statuses of a usable and of an unusable result
         raise SystemExit(f"{command[0]}: {errors.decode()}")
     return time.monotonic() - begun, peak
 
 
 def opening(page: Path, profile: Path) -> tuple[float, ...]:
-    """Return wall and CPU time until what is in sight is drawn, and until all is, s."""
+    """Return wall and CPU time until the visible part is drawn, and until all is, s."""
     found: list[float] = []
     with Browser(profile) as browser:
         browser.call("Performance.enable", timeDomain="threadTicks")
@@ -59,7 +59,7 @@ def opening(page: Path, profile: Path) -> tuple[float, ...]:
 
 
 def rows(minutes: float, folder: Path) -> str:
-    """Measure a flight of a length; return its row."""
+    """Measure a flight of `minutes`; return its row."""
     bag, output = folder / "flight", folder / "output"
     arguments = ["--output", str(bag), "--duration", str(60.0 * minutes)]
     if simulate([*arguments, "--imu-rate", "200", "--actuator-rate", "50"]):

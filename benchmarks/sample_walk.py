@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The way of a gyro sample: ``python benchmarks/sample_walk.py [--list]``.
+"""Functions on the way of a gyro sample: ``python benchmarks/sample_walk.py [--list]``.
 
-Counted is what of the package is called from the bytes of a rates message on until the coefficients
-have learned from it: what the samples of the ticks call that are learned from at once.
-Comprehensions and lambdas are a part of the function they stand in.
+It counts the files and functions of the package between the bytes of a rates message and the update
+of the coefficients, for samples that are learned from at once. A comprehension or lambda belongs to
+its enclosing function.
 """
 
 import sys
@@ -26,17 +26,17 @@ from uav_ident_ros.messages.streams import STREAMS
 
 FLIGHT = bench.ROOT / "bags" / "c172p"
 LEARNING = 30.0
-"""Time after which the walk is looked at, s: all parts are at work."""
+"""Time of flight before the count, s: all parts are then active."""
 
 AIM = (12, 45)
-"""Files and functions that the walk should pass at the most."""
+"""Largest desired numbers of files and functions."""
 
 Walk = dict[str, list[str]]
 """Functions of each file, in the order in which they are first called."""
 
 
 def walked(work: Callable[[], object], found: Walk) -> None:
-    """Do some work and add which functions of the package it calls."""
+    """Call `work` and add the functions of the package that it calls."""
     root = Path(uav_ident_ros.__file__).parent
 
     def look(frame: FrameType, event: str, _: Any) -> None:
@@ -55,13 +55,13 @@ def walked(work: Callable[[], object], found: Walk) -> None:
 
 
 def follow(identifier: OnlineIdentifier, feed: Feed, message: Message) -> None:
-    """Take a message and compute what it makes due."""
+    """Feed a message and compute the ticks that are then due."""
     feed.take(message.data, message.log_ns)
     list(identifier.advance())
 
 
 def walk_of_a_sample() -> Walk:
-    """Fly the start of the bag; return the walk of the samples that are learned from at once."""
+    """Play the start of the bag; return the functions on the way of its samples."""
     walk: Walk = {}
     settings = Settings.from_values(load_parameters(FLIGHT / "identifier.yaml", "identifier"))
     identifier = OnlineIdentifier(settings)

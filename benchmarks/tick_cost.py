@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cost of a tick beside that of another commit: ``python benchmarks/tick_cost.py [FLIGHT ...]``.
 
-Processor time of a tick, back to back, with default parameters; the two commits take turns, each
-run in a process of its own. Without ``--beside`` it is the last commit before sideslip and angle of
-attack became states: the default structure there has measured forces. Ratios of one run compare,
-times of two machines or hours do not.
+It measures the processor time of ticks without pauses, with default parameters. The two commits run
+in turns, each run in a process of its own. By default ``--beside`` is the last commit before
+sideslip and angle of attack became states, where the default structure has measured forces. Only
+ratios within one run are comparable.
 """
 
 import json
@@ -24,7 +24,7 @@ BESIDE = "f99fd36"
 """The last commit before `flight_dynamics`."""
 
 TURNS = 3
-"""Runs of each, of which the quickest counts: what else runs on the machine only adds."""
+"""Number of runs of each commit; the shortest time counts, because other load only adds to it."""
 
 DRIVER = """
 import json, sys, time
@@ -47,11 +47,11 @@ for kind, t, v in zip(*streams):
         times.append(time.thread_time() - began)
 print(json.dumps([1e3 * np.mean(times), *(1e3 * np.percentile(times, [50, 99]))]))
 """
-"""What is run in the process of each commit: it knows no more of it than the public interface."""
+"""Program that runs in the process of each commit, on the public interface alone."""
 
 
 def messages(case: cases.Case, path: Path) -> None:
-    """Keep the messages of a flight, in the order of their arrival."""
+    """Write the messages of a flight to a file, in the order of arrival."""
     listed = [
         (stream == RATES, t, np.resize(v, 6))
         for _, stream, t, v in case.samples.messages()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long the verdict stands while a controller flies a healthy aircraft on correct coefficients.
+"""Share of usable time while a controller flies a healthy aircraft on correct coefficients.
 
-The loop is closed by INDI on the identifier's own coefficients; nobody excites. Below each flight:
-what denied the verdict, and for how much of the time, numbers left out.
+INDI on the identifier's coefficients closes the loop, without excitation. Below each flight stand
+the reasons against the verdict, without numbers, and their shares of the time.
 """
 
 import re
@@ -20,7 +20,7 @@ from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare
 
 AIRCRAFT = ("c172p", "T37", "OV10", "pa28", "A4", "ultra_stick_25e")
 START = 30.0
-"""From when on the verdict counts, s: every surface has moved by then."""
+"""Start of the count, s: every surface has moved by then."""
 NUMBER = re.compile(r" ?\(.*\)| -?[0-9.]+ ?%?")
 
 
@@ -30,7 +30,7 @@ def _prepared(aircraft: str) -> Prepared:
 
 
 def fly(flight: tuple[str, int, float, int], duration: float, airspeed: bool) -> str:
-    """Fly an aircraft in a turbulence, gyro noise (rad/s) and seed; return its lines."""
+    """Fly a flight (aircraft, turbulence, gyro noise in rad/s, seed); return its lines."""
     aircraft, turbulence, noise, seed = flight
     prepared = _prepared(aircraft)
     identifier = make_identifier(prepared, **({} if airspeed else {"airspeed.type": ""}))

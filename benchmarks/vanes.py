@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Angle of attack and sideslip as published beside vanes: ``python benchmarks/vanes.py``.
+"""Published angle of attack and sideslip beside vanes: ``python benchmarks/vanes.py``.
 
-`thor75_flight` has vanes; the identifier never sees them. Correlation over the flight from 30 s on,
-in the air, between 0.05 and 3 rad/s: the zero of a vane and its flutter tell nothing. With the
-airspeed that the bag has, and with the usual one; below each what any coefficients could reach: the
-force alone, and with the surface's part fitted to the vane.
+`thor75_flight` has vanes, which the identifier does not use. Printed is the correlation in the air
+from 30 s on, between 0.05 and 3 rad/s, without the vanes' offset and flutter. The airspeed is that
+of the bag, then a constant one. Below each is the limit for any coefficients: of the force alone,
+and of the force with the surface's part fitted to the vane.
 """
 
 import cases
@@ -20,14 +20,14 @@ BAND = (0.05, 3.0)
 """Pass band, rad/s."""
 
 FLYING = 10.0
-"""Airspeed from which the aircraft is in the air, m/s."""
+"""Smallest airspeed in the air, m/s."""
 
 SETTLED = 30.0
-"""Time from which angles count, s."""
+"""Start of the comparison, s."""
 
 
 def recorded_vanes() -> FloatArray:
-    """Log times, s, angle of attack and sideslip, rad, a message a row."""
+    """Return log time, s, angle of attack and sideslip, rad, a row for each message."""
     with Bag(cases.RECORDED / FLIGHT) as bag:
         decode = bag.decoder("/vanes")
         messages = ((log_ns, decode(data).vector) for _, log_ns, data in bag.messages(("/vanes",)))
@@ -35,7 +35,7 @@ def recorded_vanes() -> FloatArray:
 
 
 def compare(case: cases.Case, airspeed: str) -> None:
-    """Print the correlations with an airspeed of that type, or without."""
+    """Print the correlations with an airspeed of that type or without."""
     track = cases.identify(case, {"structure": "flight_dynamics", "airspeed.type": airspeed})
     assert track.flow is not None
     t = np.asarray(track.t_ns) * 1e-9

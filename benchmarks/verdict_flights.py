@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights that try whether "usable" means usable, class by class, and the truth about each."""
+"""Flights that test the verdict usable, by classes, with their true derivatives."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,30 +26,30 @@ from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Measurements, Sensors, measure
 
 EXCITED, CHANGED = 60.0, 75.0
-"""When the excitation of the flights with old knowledge ends, and when the surface fails, s."""
+"""End of the excitation in the flights of ``old_knowledge``, and time of the failure, s."""
 
 GLITCH_TIME, GLITCH = 75.0, 34.9
-"""When one gyro sample is wrong, s, and what it says, rad/s: 2000 deg/s."""
+"""Time of a wrong gyro sample, s, and its value, rad/s: 2000 deg/s."""
 
 LONG, SHORT = 1.0, 0.8
-"""Length of the flights, relative; `SHORT` still holds the failure and the glitch."""
+"""Relative length of the flights; `SHORT` still includes the failure and the glitch."""
 
 PEAKS = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
-"""Peak excitation of the light aircraft, rad and throttle; the others' stand in their files."""
+"""Peak excitation of the light aircraft, rad and throttle; the others' are in their files."""
 
 RANDOM_FLIGHTS = 40
-"""Flights of aircraft drawn at random, in each seed."""
+"""Number of flights of aircraft drawn at random, for each seed."""
 
 AIRFRAMES = Path(__file__).parent / "airframes"
-"""Folder of aircraft that serve here alone."""
+"""Folder of the aircraft of the benchmarks."""
 
 DELAY = 0.02
-"""Delay of the actuators, told, s."""
+"""Configured delay of the actuators, s."""
 
 UNTOLD = {
     "actuators.delay": 0.0, "actuators.time_constant": 0.0, "actuators.estimate_delay": True,
 }  # fmt: skip
-"""Settings of who knows neither delay nor lag: the flight is to show them."""
+"""Settings without delay and lag, which are estimated in flight."""
 
 SENSORS = Sensors(rate=100.0, gyro_noise=0.01, accelerometer_noise=0.15, stamped=True)
 WEAK = Sensors(rate=25.0, gyro_noise=0.03, accelerometer_noise=0.6, stamped=True)
@@ -57,25 +57,25 @@ WEAK = Sensors(rate=25.0, gyro_noise=0.03, accelerometer_noise=0.6, stamped=True
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One flight and what an identifier is told about it."""
+    """One flight and the settings of its identifier."""
 
     kind: str  # Its class
-    name: str  # What it is, in words
+    name: str  # Its description
     seed: int  # Seed of wind and noise
-    # Returns the measurements, or a recorded flight, of which no truth is known; called where the
-    # trial is run
+    # Returns the measurements, or a recorded flight without truth; called in the process of the
+    # trial
     fly: Callable[[], Measurements | cases.Case]
-    # Settings that differ from those that fit the topics
+    # Settings besides those for the topics
     settings: Mapping[str, Any] = field(default_factory=dict)
-    # Start from the true coefficients of the healthy aircraft times this; cold if it is zero
+    # Factor on the true moments of the healthy aircraft for a warm start; zero for a cold one
     warm: float = 0.0
-    feedback: bool = False  # No excitation: coverage is counted apart
-    replayed: bool = False  # The flight becomes a bag first, and is read back as `replay` does
-    names: str = ""  # What the identifier has to say, as a regular expression; of mistakes only
+    feedback: bool = False  # Without excitation: coverage is counted apart
+    replayed: bool = False  # Whether the flight is written as a bag and replayed
+    names: str = ""  # Regular expression of the reason that must be reported; for mistakes only
 
 
 def truth(flight: Flight, time: float) -> dict[str, float]:
-    """Return the derivatives at `time`, s: of the healthy aircraft times what has changed."""
+    """Return the true derivatives at `time`, s, with all changes up to then."""
     out = dict(flight.local_truth)
     for change in flight.changes:
         if change.time <= time:
@@ -86,10 +86,10 @@ def truth(flight: Flight, time: float) -> dict[str, float]:
 
 
 def coefficients(structure: Structure, true: Mapping[str, float]) -> FloatArray:
-    """Lay the true derivatives out in a structure, shape of its mask.
+    """Return the true derivatives as coefficients of a structure, shape of its mask.
 
-    Where the forces are regressors in place of the angles of the flow, the moment of a surface is
-    divided: what goes by its force belongs to the force.
+    With the forces as regressors in place of the flow angles, the moment through a surface's force
+    belongs to the force's coefficient.
     """
     out = np.zeros(structure.mask.shape)
     for name, value in true.items():
@@ -103,7 +103,7 @@ def coefficients(structure: Structure, true: Mapping[str, float]) -> FloatArray:
                 continue
             share = true[f"{row}/{angle}"] / true[f"{force}/{angle}"]
             out[structure.index(f"{row}/{force}")] = share
-            if force == "az":  # in trim it carries the weight, and the moments are none
+            if force == "az":  # in trim az carries the weight, and the moments are zero
                 out[structure.index(f"{row}/1")] = share * GRAVITY
             for surface in ("de", "dr", "da"):
                 name = f"{row}/{surface}"
@@ -115,7 +115,7 @@ def coefficients(structure: Structure, true: Mapping[str, float]) -> FloatArray:
 def warm_start(
     structure: Structure, true: Mapping[str, float], factor: float = 1.0
 ) -> CoefficientSet:
-    """Return what a good flight of the healthy aircraft has saved, moments times a factor."""
+    """Return the set saved after a good flight of the healthy aircraft, moments times a factor."""
     values = coefficients(structure, true)
     values[: len(ROWS)] *= factor
     sigma = np.where(structure.mask, 0.05 * np.abs(values) + 0.02, 0.0)
@@ -136,11 +136,11 @@ def fly(
     excitation: Sequence[tuple[float, float]] = ((2.0, 1e3),),  # All the time by default
     inputs: str = "multisine",
     band: tuple[float, float] = (0.1, 2.0),  # Of the multisines, Hz
-    surfaces: Sequence[str] = INPUTS,  # Those that are excited
+    surfaces: Sequence[str] = INPUTS,  # The excited inputs
     scale: float = 1.0,
     duration: float = 120.0,
     bank: float = 0.0,
-    wind: float = 0.0,  # m/s rms, of JSBSim aircraft the severity 0 to 7
+    wind: float = 0.0,  # m/s rms; for JSBSim aircraft the severity 0 to 7
     changes: tuple[CoefficientChange, ...] = (),
     delay: float = DELAY,
     time_constant: float = 0.0,
@@ -148,7 +148,7 @@ def fly(
     spoil: Spoil = _as_it_is,
     **light: Any,
 ) -> Measurements:
-    """Fly the light aircraft, or one of JSBSim, on its autopilot, and measure it."""
+    """Fly the light aircraft or one of JSBSim on its autopilot; return the measurements."""
     own = PEAKS if aircraft == "light_aircraft" else airframe(aircraft).excitation
     peaks = {name: scale * peak for name, peak in own.items() if name in surfaces}
     segments = [
@@ -181,24 +181,24 @@ class Series:
     seed: int
     length: float  # Of the flights, relative
 
-    def trial(self, aircraft: str, words: str, duration: float = 110.0, **values: Any) -> Trial:
-        """Return one: `values` are fields of `Trial`, the others those of `fly`."""
-        own = {name: values.pop(name) for name in TOLD if name in values}
+    def trial(self, aircraft: str, label: str, duration: float = 110.0, **values: Any) -> Trial:
+        """Return a trial; `values` are fields of `Trial` and arguments of `fly`."""
+        own = {name: values.pop(name) for name in OPTIONAL if name in values}
         flight = partial(fly, aircraft, self.seed, duration=self.length * duration, **values)
-        return Trial(self.kind, f"{Path(aircraft).stem}, {words}", self.seed, flight, **own)
+        return Trial(self.kind, f"{Path(aircraft).stem}, {label}", self.seed, flight, **own)
 
 
-TOLD = ("settings", "warm", "feedback", "replayed", "names")
-"""Fields of `Trial` that not every one sets."""
+OPTIONAL = ("settings", "warm", "feedback", "replayed", "names")
+"""Optional fields of `Trial`."""
 
 
 def _feedback(series: Series) -> Iterator[Trial]:
-    """Bank commands, yaw damper and gusts; nobody excites."""
+    """Bank commands, yaw damper and gusts, without excitation."""
     for aircraft, bank, wind, more in (
         ("light_aircraft", 30.0, 0.3, {}),
         ("light_aircraft", 30.0, 0.8, {}),
         ("light_aircraft", 15.0, 1.5, {}),
-        # a span of 2 m, and a stiff autopilot, which answers each gust
+        # a span of 2 m, and a stiff autopilot with a strong response to gusts
         ("light_aircraft", 15.0, 0.5, {"roll_gust": 0.8, "roll_gain": 0.5, "yaw_damper": 0.5}),
         ("light_aircraft", 30.0, 1.0, {"roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}),
         ("c172p", 30.0, 5, {}),
@@ -206,15 +206,15 @@ def _feedback(series: Series) -> Iterator[Trial]:
         ("OV10", 30.0, 3, {}),
         ("ultra_stick_25e", 20.0, 2, {}),
     ):
-        words = f"wind {wind:g}" + "".join(f", {k} {v:g}" for k, v in more.items())
+        label = f"wind {wind:g}" + "".join(f", {k} {v:g}" for k, v in more.items())
         yield series.trial(
-            aircraft, words, 150.0, excitation=(), bank=bank, wind=wind, feedback=True,
+            aircraft, label, 150.0, excitation=(), bank=bank, wind=wind, feedback=True,
             replayed=aircraft == "c172p", **more,
         )  # fmt: skip
 
 
 def _old_knowledge(series: Series) -> Iterator[Trial]:
-    """Excited, then bank commands alone: a surface fails, or was reversed on the ground."""
+    """Excitation, then bank commands alone: a surface fails, or was reversed on the ground."""
     for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 3)):
         for surface, factor in (("dr", -1.0), ("dr", 0.0), ("dr", 0.33), ("de", 0.33),
                                 ("da", 0.33)):  # fmt: skip
@@ -231,13 +231,13 @@ def _old_knowledge(series: Series) -> Iterator[Trial]:
 
 
 def _changed(series: Series) -> Iterator[Trial]:
-    """Excited all the time; a surface fails, and is to be known again."""
+    """Continuous excitation; a surface fails and must be relearned."""
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 2), ("T37", 0),
                            ("ultra_stick_25e", 1)):  # fmt: skip
         for surface, factor in (("dr", -1.0), ("dr", 0.5), ("de", 0.5), ("da", 0.5)):
             changes = (CoefficientChange(series.length * CHANGED, {surface: factor}),)
-            words = f"{surface} x {factor:g}"
-            yield series.trial(aircraft, words, wind=wind, scale=0.5, changes=changes)
+            label = f"{surface} x {factor:g}"
+            yield series.trial(aircraft, label, wind=wind, scale=0.5, changes=changes)
 
 
 def _thinned(measured: Measurements) -> Measurements:
@@ -252,17 +252,17 @@ def _thinned(measured: Measurements) -> Measurements:
 
 
 def _unmodelled(series: Series) -> Iterator[Trial]:
-    """Excited, with servos or a mounting that nobody told of."""
+    """Excitation, with servos or a mounting that the settings do not contain."""
     light, late = {"bank": 20.0, "wind": 0.5}, DELAY + 0.15
-    for aircraft, words, settings, flight in (
+    for aircraft, label, settings, flight in (
         ("light_aircraft", "servo lag 120 ms", {"actuators.time_constant": 0.0},
          {**light, "time_constant": 0.12}),
         ("light_aircraft", "delay 150 ms longer than told", {"actuators.delay": DELAY},
          {**light, "delay": late}),
         ("light_aircraft", "commands saturate", {}, {**light, "travel": 0.04, "scale": 2.5}),
         ("c172p", "delay 150 ms longer than told", {"actuators.delay": DELAY}, {"delay": late}),
-        *((aircraft, words, settings, flight) for aircraft in ("light_aircraft", "c172p", "T37")
-          for words, settings, flight in (
+        *((aircraft, label, settings, flight) for aircraft in ("light_aircraft", "c172p", "T37")
+          for label, settings, flight in (
               ("lag of 100 ms told, none there", {"actuators.time_constant": 0.1}, {}),
               ("lag of 50 ms told, none there, delay sought",
                {**UNTOLD, "actuators.time_constant": 0.05}, {}),
@@ -273,11 +273,11 @@ def _unmodelled(series: Series) -> Iterator[Trial]:
               ("Imu 15 cm below the centre of gravity", {"imu.lever_arm": [0.0, 0.0, 0.0]},
                {"sensors": replace(SENSORS, lever_arm=(0.0, 0.0, 0.15))}))),
     ):  # fmt: skip
-        yield series.trial(aircraft, words, settings=settings, **flight)
+        yield series.trial(aircraft, label, settings=settings, **flight)
 
 
 def _untold(series: Series) -> Iterator[Trial]:
-    """Excited, told neither delay nor lag: the flight is to show them."""
+    """Excitation, with unconfigured delay and lag, which are estimated in flight."""
     late = ((0.0, 0.0), (0.05, 0.0), (0.0, 0.06), (0.05, 0.12))
     for aircraft, wind in (("light_aircraft", 0.5), ("c172p", 2), ("T37", 2), ("A4", 2),
                            ("ultra_stick_25e", 2)):  # fmt: skip
@@ -290,12 +290,12 @@ def _untold(series: Series) -> Iterator[Trial]:
 
 
 def _weak(series: Series) -> Iterator[Trial]:
-    """Noisy instruments at 25 Hz, little excitation."""
+    """Noisy sensors at 25 Hz, little excitation."""
     for aircraft, wind, scale in (
         ("light_aircraft", 0.5, 0.3), ("light_aircraft", 0.5, 1.0), ("c172p", 3, 0.3),
     ):  # fmt: skip
-        words = f"25 Hz, excitation x {scale:g}"
-        yield series.trial(aircraft, words, scale=scale, bank=20.0, wind=wind, sensors=WEAK)
+        label = f"25 Hz, excitation x {scale:g}"
+        yield series.trial(aircraft, label, scale=scale, bank=20.0, wind=wind, sensors=WEAK)
 
 
 def _glitched(measured: Measurements) -> Measurements:
@@ -309,43 +309,43 @@ def _glitched(measured: Measurements) -> Measurements:
 def _glitch(series: Series) -> Iterator[Trial]:
     """One gyro sample of 2000 deg/s in an excited flight."""
     for aircraft, bank, wind in (("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0)):
-        words = f"bank {bank:g}, wind {wind:g}"
-        yield series.trial(aircraft, words, bank=bank, wind=wind, spoil=_glitched)
+        label = f"bank {bank:g}, wind {wind:g}"
+        yield series.trial(aircraft, label, bank=bank, wind=wind, spoil=_glitched)
 
 
 def _clean(series: Series) -> Iterator[Trial]:
-    """Excited flights of which everything is known."""
+    """Excitation, with correct settings and without faults."""
     for aircraft, bank, wind in (
         ("light_aircraft", 0.0, 0.0), ("light_aircraft", 20.0, 0.3), ("light_aircraft", 20.0, 0.8),
         ("c172p", 0.0, 0), ("c172p", 20.0, 3), ("T37", 0.0, 0), ("OV10", 0.0, 0),
         ("ultra_stick_25e", 0.0, 0), ("ultra_stick_25e", 20.0, 2),
     ):  # fmt: skip
-        words, replayed = f"bank {bank:g}, wind {wind:g}", aircraft == "OV10"
-        yield series.trial(aircraft, words, bank=bank, wind=wind, replayed=replayed)
+        label, replayed = f"bank {bank:g}, wind {wind:g}", aircraft == "OV10"
+        yield series.trial(aircraft, label, bank=bank, wind=wind, replayed=replayed)
 
 
 def _in_turn(series: Series) -> Iterator[Trial]:
-    """Excited by 3-2-1-1 or doublets, one surface after the other."""
+    """Excitation by 3-2-1-1 or doublets, one surface after the other."""
     for inputs, (aircraft, bank, wind) in product(("3211", "doublet"), (
         ("light_aircraft", 0.0, 0.3), ("c172p", 0.0, 0), ("c172p", 20.0, 3), ("T37", 0.0, 0),
         ("OV10", 0.0, 0), ("ultra_stick_25e", 0.0, 0),
     )):  # fmt: skip
-        words, replayed = f"bank {bank:g}, wind {wind:g}, {inputs}", aircraft == "OV10"
-        yield series.trial(aircraft, words, bank=bank, wind=wind, inputs=inputs, replayed=replayed)
+        label, replayed = f"bank {bank:g}, wind {wind:g}, {inputs}", aircraft == "OV10"
+        yield series.trial(aircraft, label, bank=bank, wind=wind, inputs=inputs, replayed=replayed)
 
 
 def _partly(series: Series) -> Iterator[Trial]:
-    """One surface is excited, the others only hold the aircraft."""
+    """Excitation of one surface; the others move by the autopilot alone."""
     for (aircraft, bank, wind), surface in product((
         ("light_aircraft", 0.0, 0.0), ("light_aircraft", 20.0, 0.3), ("c172p", 0.0, 0),
         ("T37", 20.0, 2), ("A4", 0.0, 0), ("ultra_stick_25e", 20.0, 1),
     ), ("de", "dr", "da")):  # fmt: skip
-        words = f"bank {bank:g}, wind {wind:g}, {surface} alone"
-        yield series.trial(aircraft, words, bank=bank, wind=wind, surfaces=(surface,))
+        label = f"bank {bank:g}, wind {wind:g}, {surface} alone"
+        yield series.trial(aircraft, label, bank=bank, wind=wind, surfaces=(surface,))
 
 
 def _unseen(series: Series) -> Iterator[Trial]:
-    """Aircraft on which nothing was ever chosen: excited, and under an autopilot alone."""
+    """Aircraft that did not serve for tuning: with excitation, and on the autopilot alone."""
     for file in sorted(map(str, AIRFRAMES.glob("*.yaml"))):
         for bank, wind in ((0.0, 0), (20.0, 4)):
             yield series.trial(file, f"bank {bank:g}, wind {wind:g}", bank=bank, wind=wind)
@@ -355,15 +355,15 @@ def _unseen(series: Series) -> Iterator[Trial]:
 
 
 def _random(series: Series) -> Iterator[Trial]:
-    """Aircraft, sensors, settings, pilots and failures drawn at random."""
+    """Aircraft, sensors, settings, excitation and failures drawn at random."""
     for k in range(series.seed * RANDOM_FLIGHTS, (series.seed + 1) * RANDOM_FLIGHTS):
         drawn = random_flights.draw(k)
         flight = partial(random_flights.fly, k)
-        yield Trial("random", drawn.words, k, flight, drawn.settings, feedback=not drawn.excited)
+        yield Trial("random", drawn.label, k, flight, drawn.settings, feedback=not drawn.excited)
 
 
 def _closed_loop(series: Series) -> Iterator[Trial]:
-    """Correct coefficients from the start, every surface moved for ten seconds, then quiet."""
+    """Correct initial coefficients, excitation of every surface for ten seconds, then none."""
     for aircraft, wind, noise in (
         ("c172p", 3, 0.01), ("c172p", 3, 0.03), ("light_aircraft", 0.3, 0.03),
     ):  # fmt: skip
@@ -374,15 +374,15 @@ def _closed_loop(series: Series) -> Iterator[Trial]:
 
 
 def _told_wrong(series: Series) -> Iterator[Trial]:
-    """Excited, and started from the coefficients of another aircraft."""
+    """Excitation, with the initial coefficients of another aircraft."""
     for factor in (0.4, 1.7):
         for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 3)):
-            words = f"told x {factor:g}"
-            yield series.trial(aircraft, words, 120.0, bank=20.0, wind=wind, warm=factor)
+            label = f"told x {factor:g}"
+            yield series.trial(aircraft, label, 120.0, bank=20.0, wind=wind, warm=factor)
 
 
 def _turned(matrix: ArrayLike, measured: Measurements) -> Measurements:
-    """Mount the Imu otherwise: what it measures in the axes that `matrix` gives it."""
+    """Rotate the Imu's signals by `matrix`, as in another mounting."""
     turn = np.array(matrix)
     return replace(
         measured,
@@ -392,7 +392,7 @@ def _turned(matrix: ArrayLike, measured: Measurements) -> Measurements:
 
 
 def _scaled(rates: float, force: float, measured: Measurements) -> Measurements:
-    """Tell the Imu's signals in other units."""
+    """Change the units of the Imu's signals."""
     return replace(
         measured, rates=rates * measured.rates, specific_force=force * measured.specific_force
     )
@@ -404,7 +404,7 @@ def _swapped(measured: Measurements) -> Measurements:
 
 
 def _two_publishers(measured: Measurements) -> Measurements:
-    """Let a second program publish trim, at the same rate."""
+    """Add a second publisher, of trim at the same rate."""
     half = np.diff(measured.actuator_t_ns)[0] // 2
     both = np.repeat(measured.actuators, 2, axis=0)
     both[1::2] = measured.flight.channel_trim
@@ -414,7 +414,7 @@ def _two_publishers(measured: Measurements) -> Measurements:
 
 
 def _weightless(measured: Measurements) -> Measurements:
-    """Take the mean, which is nearly gravity, out of the specific force."""
+    """Remove the mean, nearly gravity, from the specific force."""
     force = measured.specific_force
     return replace(measured, specific_force=force - force.mean(axis=0))
 
@@ -437,19 +437,19 @@ MISTAKES: Sequence[tuple[str, Spoil, dict[str, Any], str]] = (
     ("aileron reversed", _as_it_is, {"actuators.mixing.da": [0.0, 0.0, -1.0, 0.0],
      "supervision.expected_signs": ["+pdot/da", "-qdot/de", "-rdot/dr"]}, "wrong way round"),
 )  # fmt: skip
-"""Mistakes in how the signals are read: what was done, to the measurements, to the settings, and
-what has to be said of it."""
+"""Mistakes in the reading of the signals: name, change of the measurements, settings, and reason
+that must be reported."""
 
 
 CARRIED_TURN, CARRIED_SWAY = 0.2, 1.0
-"""By how much an aircraft turns, rad, and is shaken, m/s^2, while it is carried."""
+"""Rotation, rad, and shaking, m/s^2, of a carried aircraft."""
 
 CARRIED_BAND = (0.15, 0.9)
-"""Frequencies of that, Hz: those of a walk."""
+"""Frequency band of these, Hz, as in walking."""
 
 
 def carried(seconds: float, seed: int, measured: Measurements) -> Measurements:
-    """Carry it to the launch first, its surfaces stabilised: they move, and nothing follows."""
+    """Precede the flight by a carried, stabilised aircraft: surfaces move without effect."""
     rng, imu = np.random.default_rng([seed, 11]), measured.sensors
     every = [np.diff(t)[0] for t in (measured.imu_t_ns, measured.actuator_t_ns)]
     times = [np.arange(round(seconds * 1e9 / step)) * step * 1e-9 for step in every]
@@ -479,23 +479,23 @@ def carried(seconds: float, seed: int, measured: Measurements) -> Measurements:
 
 
 def _launched(series: Series) -> Iterator[Trial]:
-    """Carried to the launch with the node running, then excited; nobody tells when it flies."""
+    """Carried to the launch with the node running, then excitation, without an armed topic."""
     for aircraft, wind in (("light_aircraft", 0.3), ("ultra_stick_25e", 1)):
         for seconds in (20.0, 60.0):
             spoil = partial(carried, seconds, series.seed)
-            words = f"carried for {seconds:g} s"
-            yield series.trial(aircraft, words, 150.0, bank=20.0, wind=wind, spoil=spoil)
+            label = f"carried for {seconds:g} s"
+            yield series.trial(aircraft, label, 150.0, bank=20.0, wind=wind, spoil=spoil)
 
 
 def _pitot(reads: float, until: float, measured: Measurements) -> Measurements:
-    """Let the pitot tube read another share of the airspeed for some time, from `GLITCH_TIME`."""
+    """Scale the measured airspeed to a share `reads`, from `GLITCH_TIME` to `until`."""
     time = (measured.airspeed_t_ns - measured.imu_t_ns[0]) * 1e-9
     wrong = (time >= GLITCH_TIME) & (time < until)
     return replace(measured, airspeed=np.where(wrong, reads, 1.0) * measured.airspeed)
 
 
 def _blocked(series: Series) -> Iterator[Trial]:
-    """Excited, with an airspeed; the pitot tube blocks, for ten seconds or for good."""
+    """Excitation, with an airspeed; the pitot tube is blocked for ten seconds or for good."""
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 2)):
         for reads, until in ((0.0, GLITCH_TIME + 10.0), (0.0, 1e3), (0.5, 1e3)):
             yield series.trial(
@@ -507,17 +507,17 @@ def _blocked(series: Series) -> Iterator[Trial]:
 
 
 def _loaded(series: Series) -> Iterator[Trial]:
-    """Excited; a load is dropped or taken up, and the whole row changes with the inertia."""
+    """Excitation; a load is dropped or added, and the whole row changes with the inertia."""
     for rows, factor in (
         ("pdot qdot rdot", 0.7), ("pdot qdot rdot", 1.4), ("pdot", 0.6), ("qdot", 0.5),
     ):  # fmt: skip
-        when, words = series.length * CHANGED, f"{rows} x {factor:g}"
+        when, label = series.length * CHANGED, f"{rows} x {factor:g}"
         changes = (CoefficientChange(when, dict.fromkeys(rows.split(), factor)),)
-        yield series.trial("light_aircraft", words, 130.0, bank=20.0, wind=0.3, changes=changes)
+        yield series.trial("light_aircraft", label, 130.0, bank=20.0, wind=0.3, changes=changes)
 
 
 def _mistakes(series: Series) -> Iterator[Trial]:
-    """Excited flights with one mistake each."""
+    """Excitation, with one mistake in each flight."""
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 0)):
         for mistake, spoil, settings, named in MISTAKES:
             yield series.trial(
@@ -527,7 +527,7 @@ def _mistakes(series: Series) -> Iterator[Trial]:
 
 
 def _recorded(series: Series) -> Iterator[Trial]:
-    """Real flights, as far as they are at hand: each once."""
+    """Real flights, each once, if available."""
     for name in filter(cases.is_recorded, cases.RECORDED_DELAY if series.seed == 1 else ()):
         settings = {"actuators.estimate_delay": True}
         yield Trial("recorded", name, series.seed, partial(cases.recorded, name), settings)
@@ -541,11 +541,11 @@ CLASSES = {
         _mistakes, _recorded,
     )
 }  # fmt: skip
-"""What yields the trials of each class."""
+"""Generator of the trials of each class."""
 
 
 def trials(classes: Sequence[str], seeds: Sequence[int], length: float = LONG) -> list[Trial]:
-    """Return the trials of the classes named, with each seed."""
+    """Return the trials of the named classes, with each seed."""
     return [
         trial
         for kind, seed in product(classes, seeds)

@@ -44,12 +44,12 @@ def main(bag: Path) -> None:
     """Compare the scores with and without it."""
     values = load_parameters(bag / "identifier.yaml", "identifier")
     compared: dict[str, dict[str, Any]] = {"own": {"estimator": Gentle}, "without": {}}
-    for words, parts in compared.items():
+    for label, parts in compared.items():
         run = run_over(bag, values, **parts)
         published = np.array([e.coefficients for e in run.estimates[len(run.estimates) // 2 :]])
         steps = np.abs(np.diff(published[:, *run.structure.index("pdot/da")])).max()
         fit = run.score()["last_40_percent"].model
-        print(f"{words}: largest step of pdot/da {steps:.4f} 1/s^2, fit {np.round(fit, 1)} %")
+        print(f"{label}: largest step of pdot/da {steps:.4f} 1/s^2, fit {np.round(fit, 1)} %")
 
 
 if __name__ == "__main__":

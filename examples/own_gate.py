@@ -35,13 +35,13 @@ def main(bag: Path) -> None:
     """Compare the scores with and without it."""
     values = load_parameters(bag / "identifier.yaml", "identifier")
     compared: dict[str, dict[str, Any]] = {"own": {"gates": [GATE]}, "without": {}}
-    for words, parts in compared.items():
+    for label, parts in compared.items():
         run = run_over(bag, values, **parts)
         shares = {
             name: f"{cost.share:.0%}"
             for name, cost in run.identifier.supervisor.gates.costs().items()
         }
-        print(f"{words}: share of the flight that each gate cost: {shares}")
+        print(f"{label}: share of the flight that each gate cost: {shares}")
 
 
 if __name__ == "__main__":

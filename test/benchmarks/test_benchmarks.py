@@ -156,9 +156,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.mark.parametrize("kind", COUNTS)
 def test_mutated_files(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
     outcomes = [fuzz.judge((kind, str(whole[kind]), s, str(tmp_path))) for s in range(COUNTS[kind])]
-    failed = [outcome.printed for outcome in outcomes if outcome.word == "FAILED"]
+    failed = [outcome.printed for outcome in outcomes if outcome.result == "FAILED"]
     assert not failed, failed[0]
-    assert {outcome.word for outcome in outcomes} <= {"whole", "with a loss", "refused"}
+    assert {outcome.result for outcome in outcomes} <= {"whole", "with a loss", "refused"}
 
 
 @pytest.mark.parametrize("kind", COUNTS)
