@@ -255,7 +255,7 @@ def main() -> None:
     parser.add_argument("--excited", action="store_true", help="leave out the flights without")
     parser.add_argument("--severity", choices=tuple(SEVERITIES), action="append")
     parser.add_argument("--quadrotor", action="store_true", help="a motor that fails instead")
-    parser.add_argument("--untold", action="store_true", help="the quadrotor's delay and lag")
+    parser.add_argument("--untold", action="store_true", help="configure no delay and lag")
     options = parser.parse_args()
     if options.quadrotor:
         lost = partial(lose_a_motor, untold=options.untold)

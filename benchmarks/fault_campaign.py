@@ -461,7 +461,7 @@ def main() -> None:
     parser.add_argument("--cells", type=int, help="how many of the design at most")
     parser.add_argument("--all", action="store_true", help="every controller flies every cell")
     parser.add_argument(
-        "--jam", type=float, help="fly nothing: what an aileron jammed so far, rad, costs at least"
+        "--jam", type=float, help="fly nothing: least cost of an aileron jammed so far, rad"
     )
     options = parser.parse_args()
     if options.jam is not None:

@@ -149,7 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = bench.parser(__doc__)
     parser.add_argument("modules", nargs="*", help="modules of the core (all)")
     parser.add_argument("--constants", nargs="+", help="these alone")
-    parser.add_argument("--list", action="store_true", help="say which there are, change none")
+    parser.add_argument("--list", action="store_true", help="list the constants, change none")
     options = parser.parse_args(arguments)
     every = [p.relative_to(ROOT / CORE) for p in sorted((ROOT / CORE).rglob("*.py"))]
     modules = options.modules or [".".join(p.with_suffix("").parts) for p in every]

@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--aircraft", nargs="+", default=AIRCRAFT)
     parser.add_argument("--turbulence", nargs="+", type=int, default=(0, 3))
     parser.add_argument("--noise", nargs="+", type=float, default=(0.005, 0.03), help="rad/s")
-    parser.add_argument("--without-airspeed", action="store_true", help="nobody tells it")
+    parser.add_argument("--without-airspeed", action="store_true", help="measure no airspeed")
     parser.add_argument("--seeds", nargs="+", type=int, default=(1, 2))
     options = parser.parse_args()
     flights = product(options.aircraft, options.turbulence, options.noise, options.seeds)
