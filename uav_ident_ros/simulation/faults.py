@@ -63,7 +63,7 @@ CENTRE_BALLAST = 0.05
 class Fault:
     """One fault."""
 
-    kind: str  # ``effect``, ``jams``, ``inertia``, ``turbulence`` or ``repaired``
+    kind: str  # effect, jams, inertia, cg, engine, turbulence or repaired
     what: str = ""  # Surface or axis; empty for kinds without one
     value: float | None = None  # Factor, deflection or severity
     time: float = -math.inf  # Time, s after the first sample; -inf for at once
