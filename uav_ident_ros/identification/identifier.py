@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole pipeline: samples in, estimates out.
+"""The identification pipeline: samples in, estimates out.
 
-It knows no ROS, no file and no clock: time is handed in, as integer nanoseconds. The same
+It has no access to ROS, files or a clock: time is passed in, as integer nanoseconds. The same
 samples give the same estimates, bit for bit, however they were batched.
 """
 
@@ -61,14 +61,12 @@ from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatA
 from uav_ident_ros.identification.supervision import JUDGED_FROM, State, Supervisor, Verdict
 
 STRETCH_TIME = 4.0 * SAMPLE_TIME
-"""Time that is learned from at once, s: the cost of an update hardly depends on how many samples it
-takes. What the last moments tell of the trim comes later by half of it: 0.3 points of the fit of
-recorded flights, and less than that of simulated ones. An Imu slower than the regression's samples
-is learned from at once: there is nothing to save."""
+"""Duration of the samples in one update, s: the cost of an update hardly depends on their number.
+The trim is estimated later by half of it. This costs 0.3 points of the fit of recorded flights, and
+less of simulated ones. Samples of an Imu slower than `SAMPLE_TIME` are used at once."""
 
 START_LEAK_TIME = 0.5 * INDEPENDENT_TIME
-"""Leak of the model until `START_TIME`, s: with poor coefficients its rate products would diverge.
-"""
+"""Time constant of the leak until `START_TIME`, s: with poor coefficients rate products diverge."""
 
 
 class OnlineIdentifier:
@@ -79,32 +77,32 @@ class OnlineIdentifier:
     settings : Settings
         All settings.
     initial : CoefficientSet, optional
-        Coefficients to start from; they win over those in the settings.
+        Initial coefficients; they take precedence over those in the settings.
     estimator : callable, optional
-        Makes the estimator from the settings and the start: one's own in place of theirs.
+        Makes the estimator from the settings and the start. It replaces the configured one.
     gates : sequence of Gate
-        Gates of one's own, beside those of `gates.Gates`.
+        Additional gates, beside those of `gates.Gates`.
 
     Attributes
     ----------
     settings : Settings
-        All settings, those that changed in flight included.
+        All settings, including changes made in flight.
     intake : Intake
-        What arrives: what was dropped, which tick is due.
+        Received samples, counts of dropped ones, and the tick that is due.
     sampler : Sampler
         Rates and inputs on one grid; the map from raw channels to inputs, and the trim in use.
     plausibility : Plausibility
-        What cannot be as the settings say.
+        Contradictions between signals and settings.
     supervisor : Supervisor
-        Whether it may learn, what has changed in flight.
+        Gates, weights of the rows, changes detected in flight, and the verdict.
     estimator : Estimator
-        How the coefficients move, and what the flight has told.
+        Update law of the coefficients, with the information collected so far.
     delays : DelayBank
-        What the flight says about the delay, whether it is used or not.
+        Estimate of the transport delay, whether it is used or not.
     running_fit : RunningFit
         1-second prediction fit of the coefficients, of those saved, and of holding the rate.
     idle : float
-        Time since samples were last learned from, s: inputs are missing, or a gate is closed.
+        Time since the last update of the coefficients, s: inputs are missing, or a gate is closed.
 
     Raises
     ------
@@ -136,23 +134,23 @@ class OnlineIdentifier:
         self.reset()
 
     def reset(self) -> None:
-        """Start cold: buffers and filters restart, the coefficients return to their start."""
+        """Start cold: clear buffers and filters, and return to the initial coefficients."""
         self._begin(start_from(self.settings, self._initial))
 
     def resume(
         self, saved: CoefficientSet, delay: float | None = None, lag: float | None = None
     ) -> None:
-        """Start warm: like `reset`, but from what a former flight has learned.
+        """Start warm: like `reset`, but from the coefficients of an earlier flight.
 
         Parameters
         ----------
         saved : CoefficientSet
-            Its coefficients; they are trusted less than it trusted them, see `resumed`. Those
-            that are fixed keep their initial value all the same.
+            Coefficients of that flight; `resumed` increases their standard deviations. Fixed
+            coefficients keep their initial value.
         delay : float, optional
-            Delay of the actuators that it found, s; used if the delay is estimated.
+            Transport delay estimated in that flight, s; used if the delay is estimated.
         lag : float, optional
-            Lag of the servos that it found, s; used likewise.
+            Servo lag estimated in that flight, s; used likewise.
 
         Raises
         ------
@@ -166,12 +164,12 @@ class OnlineIdentifier:
         self.note_saved(saved)
 
     def reconfigure(self, settings: Settings) -> None:
-        """Go on with other settings; to be called between two ticks.
+        """Replace the settings; to be called between two ticks.
 
         Raises
         ------
         SettingsError
-            If one differs that cannot change in flight: then nothing changes.
+            If a setting that cannot change in flight differs; all settings then stay.
         """
         before, after = self.settings.values(), settings.values()
         changed = [s for s in declarations() if before[s.name] != after[s.name]]
@@ -182,7 +180,7 @@ class OnlineIdentifier:
         self.supervisor.settings = settings
         self._warm = self._is_warm()
         if any(setting.restarts for setting in changed):
-            # A warm start from what was learned from signals that were made otherwise
+            # A warm start: the coefficients were learned from signals conditioned differently.
             given = {setting.name for setting in changed}
             learned, saved = self.coefficient_set(), self._saved
             delay = None if "actuators.delay" in given else self.delay
@@ -196,7 +194,7 @@ class OnlineIdentifier:
         self._news = True
 
     def _begin(self, start: Start, delay: float | None = None, lag: float | None = None) -> None:
-        """Forget everything and start from what is known."""
+        """Discard all data and begin from the prior."""
         actuators = self.settings.actuators
         if delay is None or not actuators.estimate_delay:
             delay = actuators.delay
@@ -230,11 +228,11 @@ class OnlineIdentifier:
         self.restart()
 
     def _is_warm(self) -> bool:
-        """Whether the control derivatives were told, and the flight has not contradicted them."""
+        """Whether the prior has control derivatives that the flight has not contradicted."""
         return self.estimator.start.inputs_known(self.settings.supervision.min_t_ratio)
 
     def restart(self) -> None:
-        """Start on a new time base: buffers and filters restart, the coefficients stay."""
+        """Begin a new time base: clear buffers and filters, keep the coefficients."""
         self.sampler.restart()
         self._speed.airspeed.clear()
         self._armed.clear()
@@ -255,22 +253,22 @@ class OnlineIdentifier:
 
     @property
     def delay(self) -> float:
-        """Transport delay in use, s: the setting, or what the flight has shown it to be."""
+        """Transport delay in use, s: configured or estimated."""
         return self.sampler.delay
 
     @property
     def lag(self) -> float:
-        """Servo lag in use, s: the setting, or what the flight has shown it to be."""
+        """Servo lag in use, s: configured or estimated."""
         return self.sampler.time_constant
 
     @property
     def delay_sigma(self) -> float:
-        """Standard deviation of the delay in use, s; inf where it is as set."""
+        """Standard deviation of the delay in use, s; inf for the configured delay."""
         return self._delay_estimate.sigma
 
     @property
     def delay_confidence(self) -> str:
-        """Whether the flight shows the delay: ``none`` (as set), ``low`` or ``sure``."""
+        """Confidence in the estimated delay: ``none`` (as configured), ``low`` or ``sure``."""
         return self._delay_estimate.confidence
 
     @property
@@ -278,10 +276,10 @@ class OnlineIdentifier:
         return self.delays.estimate if self.settings.actuators.estimate_delay else NO_ESTIMATE
 
     def _adopt_delay(self, block: Block) -> None:
-        """Pair rates and inputs anew where a block shows another delay, or another lag.
+        """Adopt the delay and lag estimated with a block, if they differ from those in use.
 
-        What was learned with another one is biased, by tens of percent for 60 ms. It holds the
-        coefficients until there are new data, so it counts for as much as `INDEPENDENT_TIME` tells.
+        Information collected with another delay is biased, by tens of percent for 60 ms. It holds
+        the coefficients until new data arrive, with the weight of `INDEPENDENT_TIME` of flight.
         """
         looked = self.delays.add(block, self.delay, bool(self.estimator.learning.any()))
         if not looked or not self.settings.actuators.estimate_delay:
@@ -299,7 +297,7 @@ class OnlineIdentifier:
             self._learned_time = 0.0
 
     def flying(self) -> Flying:
-        """Return what is known of the flight, as of the last tick."""
+        """Return the flight state at the last tick."""
         flow = self._parallel.flow
         roll, pitch = (None, None) if flow is None else flow.attitude
         newest = self._newest_rates
@@ -313,19 +311,19 @@ class OnlineIdentifier:
 
     @property
     def speed_believed(self) -> bool:
-        """Whether coefficients hold at the airspeed: none that is measured is too low for that."""
+        """Whether the speed scaling is valid: no airspeed is measured, or it is high enough."""
         newest = self._speed.newest
         return newest is None or newest >= slowest(self.settings.airspeed)
 
     # -- samples in ------------------------------------------------------------------------
     #
-    # Each returns why the sample was dropped, None if it was taken; a stamp is in ns, and what
-    # it is about holds from then on.
+    # Each returns the reason why the sample was dropped, or None if it was accepted. A value holds
+    # from its stamp on, which is in ns.
 
     def add_rates(
         self, t_ns: int, pqr: Sequence[float], specific_force: Sequence[float] | None = None
     ) -> Drop | None:
-        """Take one sample of the rates, in the Imu's own axes.
+        """Add one sample of the rates, in the Imu's own axes.
 
         Parameters
         ----------
@@ -340,37 +338,37 @@ class OnlineIdentifier:
         return self.intake.add_rates(t_ns, pqr, force)
 
     def add_actuators(self, t_ns: int, values: Sequence[float]) -> Drop | None:
-        """Take one sample of the raw channels that ``actuators.channels`` names, in that order."""
+        """Add one sample of the raw channels, in the order of ``actuators.channels``."""
         return self.intake.add(ACTUATORS, t_ns, values)
 
     def add_airspeed(self, t_ns: int, airspeed: float) -> Drop | None:
-        """Take one sample of the true airspeed, m/s."""
+        """Add one sample of the true airspeed, m/s."""
         return self.intake.add(AIRSPEED, t_ns, (airspeed,))
 
     def add_armed(self, t_ns: int, armed: bool) -> Drop | None:
-        """Take word of whether the motors are armed; late word counts from the next tick on."""
+        """Add the armed state of the motors; a late sample counts from the next tick on."""
         return self.intake.add(ARMED, t_ns, (float(armed),))
 
     def add_excitation(
         self, t_ns: int, values: Sequence[float], *, own: bool = False
     ) -> Drop | None:
-        """Take word of what was, or will be, injected into the inputs on purpose.
+        """Add one sample of the excitation injected into the inputs, past or future.
 
         Parameters
         ----------
         t_ns : int
-            Stamp, ns; what was said before of a later time is called off.
+            Stamp, ns; earlier samples with a later stamp are cancelled.
         values : sequence of 4 floats
             de, dr, da, dth, in the units of the inputs.
         own : bool
-            Whether the last tick that was run asked for it: it counts for those that wait, too.
+            Whether the last tick requested it: it then applies to waiting ticks as well.
         """
         return self.intake.add(EXCITATION, t_ns, values, own)
 
     # -- ticks -----------------------------------------------------------------------------
 
     def advance(self) -> Iterator[Estimate]:
-        """Compute the ticks that are due, one by one; yield the estimate of each."""
+        """Run the due ticks one by one; yield the estimate of each."""
         while (t_ns := self.intake.due) is not None:
             if (estimate := self.update(t_ns)) is not None:
                 yield estimate
@@ -386,7 +384,7 @@ class OnlineIdentifier:
         Returns
         -------
         Estimate or None
-            The estimate of the last tick that was run, None if there was none.
+            The estimate of the last tick that was run; None if none was.
         """
         estimate = None
         for tick_ns in self.intake.ticks(t_ns):
@@ -394,11 +392,11 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
-        """Do all that there is to do at a tick: segment, regress, gate, estimate, judge."""
+        """Run one tick: check the signals, segment, score, regress, estimate, judge."""
         self.idle += 1.0 / self.settings.update_rate
         self.intake.merge(t_ns)
         self._speed.update(t_ns)
-        self._look(t_ns)
+        self._check_signals(t_ns)
         if self._as_paper:
             self._paper_tick(t_ns)
         else:
@@ -410,14 +408,14 @@ class OnlineIdentifier:
                     self._adopt_delay(stretch.block)
         return self._judge(t_ns)
 
-    def _look(self, t_ns: int) -> None:
-        """Show plausibility and gates what came with this tick, without glitches."""
+    def _check_signals(self, t_ns: int) -> None:
+        """Check the samples of this tick: drop glitches, then evaluate plausibility and gates."""
         rates, inputs, supervisor = self.sampler.rates, self.sampler.raw_inputs, self.supervisor
         if len(self._armed.t):
             supervisor.armed = bool(self._armed.v[-1, 0])
             self._armed.trim(t_ns)
         samples, channels, settings = rates.v[:0], inputs.v[:0], self.settings
-        if not self._as_paper:  # it knows no gates of the signals
+        if not self._as_paper:  # the paper's law has no gates on the signals
             new = rates.after(self._looked_ns)
             max_rate, dt = settings.supervision.max_rate, 1.0 / settings.update_rate
             self._leave_out(self._glitches.find(rates.v[new:, :3], max_rate), Drop.GLITCH)
@@ -440,18 +438,18 @@ class OnlineIdentifier:
         supervisor.gates.look(look)
 
     def _leave_out(self, which: BoolArray | None, drop: Drop) -> None:
-        """Drop those of the newest samples of the rates."""
+        """Drop some of the newest samples of the rates, and count them."""
         if which is not None:
             self.sampler.rates.leave_out(which)
             self.intake.drops[RATES][drop] += int(which.sum())
 
     def _segment(self, t_ns: int) -> Iterator[Stretch]:
-        """Run the model beside the blocks that this tick completes; yield what they complete."""
+        """Run the model over the blocks that this tick completes; yield completed stretches."""
         gates, speed = self.supervisor.gates, self._speed
         for block in self.sampler.blocks():
             self._fed_ns = t_ns
             if not self._has_accelerometer and self._parallel.flow is not None:
-                self._look_for_accelerometer(block)
+                self._detect_accelerometer(block)
             length = STRETCH_TIME if block.h <= SAMPLE_TIME else 0.0
             leak = self.settings.model.leak_time
             if self._learned_time < START_TIME:
@@ -463,7 +461,7 @@ class OnlineIdentifier:
             yield from self._stretches.add(part, length)
 
     def _score(self, stretch: Stretch) -> None:
-        """Score the coefficients on what they were not learned from yet."""
+        """Score the coefficients on data that they were not estimated from."""
         self._news = True
         if stretch.readable:
             saved = None if self._saved is None else self._saved * self._speed.scale
@@ -486,10 +484,10 @@ class OnlineIdentifier:
         )
 
     def _estimate(self, samples: Regression, t_ns: int, ticks: int) -> None:
-        """Update the coefficients with samples of some ticks that end at `t_ns`."""
+        """Update the coefficients with the samples of some ticks that end at `t_ns`."""
         self.idle = 0.0
         estimator, supervisor = self.estimator, self.supervisor
-        if not self._learned_time:  # what was learned was forgotten
+        if not self._learned_time:  # the information was discarded
             self._fresh = None
         self._learned_time += samples.time
         residual = estimator.residual(samples)
@@ -501,29 +499,29 @@ class OnlineIdentifier:
         supervisor.confirmed.add(white, effect, self._noise.variance, max_age)
         estimator.update(samples, rows, white, weight)
         supervisor.follow(t_ns * NS, estimator, ticks)
-        self._begin_anew_beside(samples)
+        self._try_fresh_start(samples)
         if self.estimator.changes:
             self.running_fit.forget()
         if self.estimator.rejected:
             self._warm = self._is_warm()
 
-    def _begin_anew_beside(self, samples: Regression) -> None:
-        """While a cold start has come to nothing, see whether the newest time alone tells more."""
+    def _try_fresh_start(self, samples: Regression) -> None:
+        """Replace an unsuccessful cold start if a fresh estimator determines more derivatives."""
         needless = self._warm or self._as_paper or self.supervisor.proven
         if needless or known_inputs(self.estimator).any():
             self._fresh = None
             return
         fresh = self._fresh or SecondEstimator(self._cold_estimator(), self._layout)
-        if fresh.estimator is self.estimator:  # one's own, which there is once
+        if fresh.estimator is self.estimator:  # a single estimator was passed in
             return
         self._fresh = fresh
         fresh.add(samples, np.ones(3))
         if fresh.time < JUDGED_FROM:
             return
         told = known_inputs(fresh.estimator, self.settings.supervision.min_t_ratio).any()
-        # A wrong setting makes derivatives unknown, and would for the fresh estimator.
+        # A wrong setting makes derivatives unknown, for the fresh estimator as well.
         if told and not any(self.setup_doubts):
-            # All that was drawn from the time before was drawn from another aircraft.
+            # Results from the time before belong to another state of the aircraft.
             self.estimator, self._noise = fresh.estimator, fresh.noise
             self._learned_time = fresh.time
             self.delays = DelayBank(self.settings.actuators.longest_delay, self.lag)
@@ -532,37 +530,37 @@ class OnlineIdentifier:
         self._fresh = None
 
     def _cold_estimator(self) -> Estimator:
-        """Return an estimator that has learned nothing yet."""
+        """Return an estimator without flight data."""
         start = self._start.weakened(self.structure)
         if self._has_accelerometer is False:
             start = without_flow(start, self.structure)
         return self._make_estimator(self.settings, start)
 
-    def _look_for_accelerometer(self, block: Block) -> None:
-        """Leave out the flow angles while nothing tells of them."""
+    def _detect_accelerometer(self, block: Block) -> None:
+        """Detect the accelerometer; leave out the flow angles while there is none."""
         force, before = block.specific_force, self._has_accelerometer
-        # A real one changes from sample to sample.
+        # A real accelerometer changes from sample to sample.
         self._has_accelerometer = bool((force[1:] != force[:-1]).any())
         if before is None and not self._has_accelerometer:
             self.estimator.start = without_flow(self._start, self.structure)
         elif before is False and self._has_accelerometer:
-            # What was learned without flow angles took their moments for something else.
+            # Without flow angles their moments were attributed to other regressors.
             self._stretches = Stretches()
             self.estimator = self._make_estimator(self.settings, self._start)
             self._learned_time = 0.0
 
     def _coefficients(self) -> FloatArray:
-        """Coefficients at the airspeed flown, shape (R, n)."""
+        """Return the coefficients at the airspeed flown, shape (R, n)."""
         coefficients, speed = self.estimator.coefficients, self._speed
         return coefficients * speed.scale if speed.enabled else coefficients
 
     def coefficient_set(self, t_ns: int = 0) -> CoefficientSet:
-        """Coefficients to save and to start from again: at the reference airspeed.
+        """Return the coefficients at the reference airspeed, to save or to start from.
 
         Parameters
         ----------
         t_ns : int
-            Message time to note with them, ns.
+            Message time to record with them, ns.
         """
         return CoefficientSet(
             self.structure.name,
@@ -572,12 +570,12 @@ class OnlineIdentifier:
         )
 
     def note_saved(self, saved: CoefficientSet) -> None:
-        """Take note of what was saved, or started from: its fit runs beside that in use."""
+        """Record the saved or initial set: its fit is computed beside that of the set in use."""
         self._saved = saved.values
         self.running_fit.save()
 
     def _paper_tick(self, t_ns: int) -> None:
-        """Learn as the paper does: backward differences of the rates at the ticks."""
+        """Update by the paper's law: backward differences of the rates at the ticks."""
         held = self.sampler.held(t_ns)
         if held is None:
             return
@@ -593,22 +591,22 @@ class OnlineIdentifier:
             self._estimate(regression, t_ns, 1)
 
     def _judge(self, t_ns: int) -> Estimate:
-        """Judge the coefficients, and return all that is published of a tick."""
+        """Judge the coefficients, and return the estimate of a tick."""
         if self.idle > LOOK_TIME and self.supervisor.adapt:
-            # Nothing that was learned of late confirms what was known.
+            # Without new data the confirmation of the coefficients fades.
             max_age = self.settings.supervision.max_age
             self.supervisor.confirmed.fade(1.0 / self.settings.update_rate, max_age)
             self._news = True
         if self._news:
-            self._look_at_settings()
+            self._check_settings()
             self._sigma = self._setup_errors.widened(self.estimator.sigma)
         if self._news or self._speed.enabled:
             self._shown = self._coefficients().copy(), self._sigma * self._speed.scale
         coefficients, sigma = self._shown
         if self._news:
-            self._verdict = self._judged(t_ns * NS, coefficients, sigma)
+            self._verdict = self._new_verdict(t_ns * NS, coefficients, sigma)
         self._news = False
-        # A tick without a block is none of waiting where samples come more slowly than ticks.
+        # Samples may be slower than ticks: one tick without a block does not count as waiting.
         patience = 0.0 if self._as_paper else self.settings.filter.max_gap / NS
         fed = t_ns - self._fed_ns <= patience
         state, why = self._state(fed)
@@ -631,12 +629,11 @@ class OnlineIdentifier:
             reason=why,
         )
 
-    def _look_at_settings(self) -> None:
-        """Look which settings the flight shows to be off."""
+    def _check_settings(self) -> None:
+        """Check delay, lag and accelerometer position against the estimates."""
         estimator, delays = self.estimator, self.delays.estimate
         if self._warm and estimator.answers.any():
-            # What was known beforehand stands against a delay that inputs seem to have which answer
-            # gusts.
+            # Inputs that answer gusts appear delayed; the prior takes precedence.
             delays = NO_ESTIMATE
         self._setup_errors.look(
             estimator.coefficients,
@@ -646,17 +643,17 @@ class OnlineIdentifier:
             self.delays.lost,
             estimator.height,
             lag_is_told=self.lag > 0.0 or not self.settings.actuators.estimate_delay,
-            held=self.sampler.held_too_long,
+            held=self.sampler.hold_delay,
         )
 
     @property
     def setup_doubts(self) -> list[str]:
-        """Which setting falsifies each moment row by more than the verdict allows; '' if none."""
+        """For each moment row the setting that biases it beyond the verdict's limit; '' if none."""
         needed = self.settings.supervision.min_t_ratio
         return self._setup_errors.denied(self.estimator.coefficients, needed)
 
-    def _judged(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> Verdict:
-        """Return the verdict anew: something was learned, or scored, since the last one."""
+    def _new_verdict(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> Verdict:
+        """Return a new verdict, after an update or a score."""
         if self.settings.supervision.plausibility:
             self.plausibility.judge(coefficients, sigma)
         learned_time = math.inf if self._warm else self._learned_time
@@ -666,7 +663,7 @@ class OnlineIdentifier:
         )
 
     def _state(self, fed: bool) -> tuple[State, str]:
-        """Return state word and reason: first of what is wrong, then of what is missing."""
+        """Return the state and its reason; faults come first, then missing samples."""
         fault = self.intake.fault or self.estimator.problem or self.plausibility.fault
         if fault:
             return State.FAULT, fault

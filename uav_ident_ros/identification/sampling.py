@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates and inputs on one uniform grid at the gyro's rate.
+"""Resampling of rates and inputs to one uniform grid at the gyro's rate.
 
-Every gyro sample counts: the grid has the gyro's own rate and phase, and between samples the
-rates are straight lines. The inputs are shifted by delay and lag and averaged over the cells.
+Every gyro sample counts: the grid has the gyro's own rate and phase, and rates are interpolated
+linearly. The inputs are delayed, lagged and averaged over the cells.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 
 class InputMap:
-    """The map u = M (c(raw) - c(trim)), where c is what a channel does.
+    """The map u = M (c(raw) - c(trim)), where c is the effect of a channel.
 
-    A surface does as it is told, ``c = raw``. A motor's thrust grows with the square of its speed:
-    with its share f of the square, and s = scale raw from 0 to 1, ``scale c = f s^2 + (1 - f) s``.
-    What it moves is then the same at any thrust.
+    For a surface ``c = raw``. A motor's thrust grows with the square of its speed: with the
+    quadratic share f and s = scale raw from 0 to 1, ``scale c = f s^2 + (1 - f) s``. Its control
+    derivative is then the same at any thrust.
     """
 
     def __init__(self, settings: ActuatorSettings) -> None:
@@ -50,13 +50,13 @@ class InputMap:
         return self.mix(self.curved(raw))
 
     def curved(self, raw: FloatArray) -> FloatArray:
-        """Return what channels of shape (..., N) do, in their own units."""
+        """Return the effects c of raw channels of shape (..., N), in their own units."""
         if not self._bent:
             return raw
         return np.asarray(raw * (1.0 + self._square * (self._scale * raw - 1.0)))
 
     def mix(self, curved: FloatArray) -> FloatArray:
-        """Return inputs of shape (..., 4) from what channels do, or their means over a time."""
+        """Return inputs of shape (..., 4) from effects c, or their means over a time."""
         return np.asarray((curved - self.curved(self.trim)) @ self.matrix.T)
 
 
@@ -75,9 +75,9 @@ class ServoLag:
             self._filter = BlockFilter(DiscreteSystem.from_continuous(a, -a[0], h), 4)
 
     def apply(self, u: FloatArray, *, restarted: bool) -> FloatArray:
-        """Cell means of the deflection from cell means of the command, shape (m, 4).
+        """Return cell means of the deflection from those of the command, shape (m, 4).
 
-        Restarted, it begins in equilibrium at the first of them.
+        If restarted, it begins in equilibrium at the first of them.
         """
         if self._filter is None:
             return u
@@ -86,20 +86,19 @@ class ServoLag:
         before = self._filter.state
         after = self._filter.apply(np.zeros((len(u) + 1, u.shape[1])), u)[0]
         start = np.concatenate([before, after[:-1]])
-        # The lag's own equation integrated over the cell: mean = u - T (s1 - s0) / h.
+        # The equation of the lag, integrated over the cell: mean = u - T (s1 - s0) / h.
         return np.asarray(u - self._ratio * (after - start))
 
 
 def cell_means(
     t_ns: TimeArray,  # (k,) Stamps of the samples, ns; the first is at or before the first edge
-    u: FloatArray,  # (k, N) Values; each applies from its stamp on, the last for ever
+    u: FloatArray,  # (k, N) Values; each applies from its stamp on, the last without limit
     edges_ns: TimeArray,  # (m + 1,) Edges of the cells, ns, already shifted by the delay
     interpolation: str,  # ``hold`` or ``linear``
 ) -> FloatArray:
     """Return exact means of a sampled input over cells, (m, N).
 
-    With the input held, its mean over a cell is what a plant driven by the held input sees;
-    sampling it at the cell's end instead is half a sample off.
+    Sampling at the end of a cell would be half a sample off.
     """
     last = t_ns.searchsorted(edges_ns, side="right") - 1
     since = (edges_ns - t_ns.take(last))[:, None]
@@ -120,28 +119,27 @@ def cell_means(
 
 
 RATE_SAMPLES = 4 * IN_A_ROW
-"""Samples from which the Imu's rate is found: two losses of `IN_A_ROW` leave their median as it is.
-"""
+"""Intervals that determine the Imu's rate: two losses of `IN_A_ROW` do not affect their median."""
 
 FASTEST_CELL_NS = 1_000_000
-"""Shortest cell, ns: 1 kHz, the highest Imu rate worth following."""
+"""Shortest cell, ns: 1 kHz, the highest useful Imu rate."""
 
 SHORTEST_LOSS_NS = round(2.0 * SAMPLE_TIME / NS)
-"""Time before which no input counts as lost, ns: two or three messages lost on a radio link do no
-harm to what is filtered anyway."""
+"""Shortest time after which an input counts as lost, ns: the filters hide two or three messages
+lost on a radio link."""
 
 Edges = TypeVar("Edges", TimeArray, FloatArray)
 
 STEADY_RATE = 0.1
-"""Mean and standard deviation of the rates below which flight is steady, rad/s."""
+"""Largest mean and standard deviation of the rates in steady flight, rad/s."""
 
 
 @dataclass
 class FlowSignals:
-    """What the model with flow angles is run beside, at the edges of a block."""
+    """Measured state of the model with flow angles, at the edges of a block."""
 
-    # (m + 1, 8) Its state as measured: p, q, r, rad/s; sideslip and angle of attack, rad; unit
-    # vector that points down, body axes FRD
+    # (m + 1, 8) p, q, r, rad/s; sideslip and angle of attack, rad; unit vector that points down,
+    # body axes FRD
     states: FloatArray
     airspeed: float  # True, m/s
 
@@ -166,11 +164,11 @@ class Block:
     u: FloatArray  # (m, 4) Means of de, dr, da, dth over the cells, delayed and lagged
     # (m + 1, 3) Specific forces ax, ay, az at the edges, m/s^2; ay, az less their centripetal part
     specific_force: FloatArray
-    restarted: bool  # Whether the first edge does not continue the block before
-    # (m, 4) The part of `u` that was injected on purpose; None before there was any
+    restarted: bool  # Whether the block does not continue the previous one
+    # (m, 4) Injected part of `u`; None before there was any
     excitation: FloatArray | None = None
-    # (m, 4) What straight lines between the edges have of inputs that jump, less `u`: there a jump
-    # begins a cell sooner. None where they do not jump
+    # (m, 4) Means of lines through the inputs at the edges, less `u`: such a line begins a jump a
+    # cell sooner. None for inputs that do not jump
     early: FloatArray | None = None
     flow: FlowSignals | None = None  # For a structure with flow angles, once they are observed
 
@@ -191,7 +189,7 @@ class Block:
 
 
 def join(blocks: Sequence[Block]) -> Block:
-    """Make one block of blocks that continue one another."""
+    """Join blocks that continue one another."""
     if len(blocks) == 1:
         return blocks[0]
     first, flow = blocks[0], None
@@ -212,19 +210,19 @@ def join(blocks: Sequence[Block]) -> Block:
 
 
 def _cell_values(parts: Sequence[tuple[FloatArray | None, FloatArray]]) -> FloatArray | None:
-    """Return values of all cells, from those of blocks or nothing, each beside what is as long."""
+    """Join cell values of blocks, each with an array of its shape; None counts as zeros."""
     if all([values is None for values, _ in parts]):
         return None
     return np.concatenate([np.zeros_like(u) if values is None else values for values, u in parts])
 
 
 def edge_values(parts: Sequence[Edges]) -> Edges:
-    """Return the values at the edges of all cells, from those of blocks that share an edge."""
+    """Join edge values of blocks, of which neighbours share an edge."""
     return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
 
 
 class Sampler:
-    """Brings rates and inputs together on the grid."""
+    """Resampler of rates and inputs to the grid."""
 
     def __init__(self, settings: Settings) -> None:
         self._frame = BodyFrame(settings.imu)
@@ -238,20 +236,20 @@ class Sampler:
         self.rates = SampleBuffer(6)
         self.raw_inputs = SampleBuffer(len(settings.actuators.channels))
         self.injected = SampleBuffer(len(INPUTS))
-        # Of the inputs, s; with another lag a new stretch of blocks begins
+        # Delay and lag of the inputs, s; a change of the lag begins a new stretch of blocks
         self.delay, self.time_constant = settings.actuators.delay, settings.actuators.time_constant
         self._memory_ns = round(MAX_DELAY * 1e9)
         self._linear = settings.actuators.interpolation == "linear"
         self.restart()
 
     def restart(self) -> None:
-        """Drop all samples and find the Imu's rate anew; a learned trim stays."""
+        """Drop all samples and the Imu's rate; a learned trim stays."""
         self.rates.clear()
         self.raw_inputs.clear()
         self.injected.clear()
         self.h_ns: int | None = None
-        self._lags: tuple[ServoLag, ServoLag] | None = None  # Of inputs, and of what is injected
-        self._stale_ns = self._timeout_ns  # age at which an input was lost, when last asked
+        self._lags: tuple[ServoLag, ServoLag] | None = None  # Of the inputs and their injected part
+        self._stale_ns = self._timeout_ns  # latest age at which an input counts as lost
         self._edge_ns: int | None = None
         self._continues = False
         self.waiting_for = "rates"
@@ -259,7 +257,7 @@ class Sampler:
     def held(self, t_ns: int) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Return the newest x (3,), u (4,) and ay, az (2,) at `t_ns`, as the paper samples them.
 
-        None while there are none, or they are stale.
+        None if they are missing or stale.
         """
         at = t_ns - self._delay_ns
         self.rates.trim(t_ns)
@@ -278,32 +276,32 @@ class Sampler:
         return x, u, self._frame.to_body(signals[3:])[1:] - centripetal(x, self._arm)
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the blocks that the samples in use complete."""
+        """Yield the blocks that are complete with the samples in use."""
         self.waiting_for = self._missing()
         if self.waiting_for:
             return
         first_ns = 0
         for first_ns, last_ns in self._runs():
             yield from self._cut(first_ns, last_ns)
-        # What is before the next cell has served; a run of one sample has no cell yet.
+        # Samples before the next cell are not needed; a run of one sample has no cell yet.
         needed = first_ns if self._edge_ns is None else max(first_ns, self._edge_ns)
         self.rates.trim(needed)
         self.raw_inputs.trim(needed - self._memory_ns)
         self.injected.trim(needed - self._memory_ns)
 
-    def held_too_long(self) -> float:
-        """Return by how much what is held until the next sample is too old on average, s."""
+    def hold_delay(self) -> float:
+        """Return the mean age of an input that is held until the next sample, s."""
         if self._linear or len(self.raw_inputs.t) < 2:
             return 0.0
         steps: list[int] = np.diff(self.raw_inputs.t).tolist()
-        return 0.5 * NS * median(steps)  # quicker than that of NumPy
+        return 0.5 * NS * median(steps)  # faster than NumPy's
 
     @property
     def _delay_ns(self) -> int:
         return round(self.delay * 1e9)
 
     def _missing(self) -> str:
-        """Return what is not known yet of rate, inputs and trim; empty if all is."""
+        """Return which of rates, inputs and trim is missing; empty if none is."""
         if self.h_ns is None:
             if len(self.rates.t) <= RATE_SAMPLES:
                 return "rates"
@@ -317,9 +315,9 @@ class Sampler:
         return ""
 
     def _stale_age(self) -> int:
-        """Return the age, ns, at which an input is lost.
+        """Return the age, ns, at which an input counts as lost.
 
-        To hold its last value for longer would teach a response to an input that was not there.
+        Holding its last value for longer would bias the control derivatives.
         """
         steps = np.diff(self.raw_inputs.t)
         if len(steps) >= IN_A_ROW:
@@ -329,7 +327,7 @@ class Sampler:
         return self._stale_ns
 
     def _learn_trim(self) -> bool:
-        """Take the mean raw channels over the first steady stretch of flight as trim."""
+        """Set the trim to the mean raw channels of the first steady stretch, if there is one."""
         span_ns = round(self._actuators.learn_trim_time * 1e9)
         newest = int(self.rates.t[-1])
         if newest - int(self.rates.t[0]) < span_ns:
@@ -341,7 +339,7 @@ class Sampler:
         window = np.array([newest - span_ns, newest], dtype=np.int64)
         if spread.max() > STEADY_RATE or self._known_runs(window, self._timeout_ns) != [(0, 2)]:
             return False
-        # By time, not by sample: some publish only what changes.
+        # Mean over time, not over samples: some publishers send changes only.
         mean = cell_means(
             self.raw_inputs.t, self.raw_inputs.v, window, self._actuators.interpolation
         )
@@ -367,7 +365,7 @@ class Sampler:
         if start is None or start < first_ns:
             start, self._continues = first_ns, False
         if self._linear:
-            # A straight line needs the sample at its end: cells wait for it, but not for ever.
+            # Interpolation needs the next sample: cells wait for it, up to the stale age.
             newest = int(self.raw_inputs.t[-1]) + self._delay_ns
             if last_ns - newest <= self._stale_age():
                 last_ns = min(last_ns, newest)
@@ -385,9 +383,9 @@ class Sampler:
         self._edge_ns = int(edges[-1])
 
     def _known_runs(self, at: TimeArray, stale_ns: int | None = None) -> list[tuple[int, int]]:
-        """Begin and end (exclusive) of each run of times at which an input was fresh enough.
+        """Return begin and end (exclusive) of each run of times with an input that is not stale.
 
-        That is younger than `stale_ns`, or than `_stale_age` if left out.
+        An input is stale if older than `stale_ns`, or than `_stale_age` if that is omitted.
         """
         t = self.raw_inputs.t
         first = self.raw_inputs.after(at[0]) - 1
@@ -406,7 +404,7 @@ class Sampler:
         return list(zip(flips[::2], flips[1::2], strict=True))
 
     def _block(self, edges: TimeArray, at: TimeArray, restarted: bool) -> Block:
-        """Return the signals over cells, whose inputs were commanded `at` their edges."""
+        """Return the signals over the cells between `edges`, with inputs commanded at `at`."""
         assert self.h_ns is not None and self._lags is not None
         lag, injected_lag = self._lags
         signals = self.rates.interpolate(edges).reshape(-1, 2, 3)
@@ -418,7 +416,7 @@ class Sampler:
         means = cell_means(raw.t, done, at, self._actuators.interpolation)
         u, injected = lag.apply(self.input_map.mix(means), restarted=restarted), None
         if len(self.injected.t):
-            t, v = with_silences(self.injected.t, self.injected.v, int(at[0]))
+            t, v = with_zeros(self.injected.t, self.injected.v, int(at[0]))
             injected = injected_lag.apply(cell_means(t, v, at, "hold"), restarted=restarted)
         early = None
         if not self._linear and self.time_constant == 0.0:
@@ -427,12 +425,12 @@ class Sampler:
         return Block(edges, self.h_ns * NS, x, u, force, restarted, injected, early)
 
 
-def with_silences(
+def with_zeros(
     t_ns: TimeArray,  # (k,) Stamps, ns, rising
     v: FloatArray,  # (k, 4) Values; each counts until the next, or for `EXCITATION_TIMEOUT`
-    first_ns: int,  # When the first value is needed, ns
+    first_ns: int,  # Time from which values are needed, ns
 ) -> tuple[TimeArray, FloatArray]:
-    """Add zeros to a stream of excitation: before its start, and where it fell silent."""
+    """Return an excitation stream with zeros before its start and in its pauses."""
     timeout_ns = round(EXCITATION_TIMEOUT * 1e9)
     silent = np.append(np.diff(t_ns) > timeout_ns, True)
     stamps = np.concatenate([t_ns, t_ns[silent] + timeout_ns])
