@@ -156,7 +156,7 @@ def arrived(
         if kind == 0:
             newest = max(newest, t)
         else:
-            stamps.append(round(clock.put_right(t * MS, newest * MS) / MS))
+            stamps.append(round(clock.corrected(t * MS, newest * MS) / MS))
     return clock, stamps
 
 
@@ -186,4 +186,4 @@ def test_nothing_is_a_step_before_it_is_known_what_is_usual() -> None:
     clock = ClockSteps()
     for k in range(USUAL):
         t = (k * 20 + 300 * (k > 5)) * MS
-        assert clock.put_right(t, k * 20 * MS) == t
+        assert clock.corrected(t, k * 20 * MS) == t

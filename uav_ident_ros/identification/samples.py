@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples in: checked, told from outliers, put by, and the ticks that they make due.
+"""Intake of samples: checks, outliers, buffers, and the ticks that become due.
 
 Tick k is at message time ``k / update_rate``. It is due when the newest stamp of the rates has
 passed it by `input_wait`, and uses every sample stamped at or before it.
@@ -30,7 +30,7 @@ NS = 1e-9
 
 
 class SampleBuffer:
-    """Samples of one stream, cheap to append to."""
+    """Samples of one stream: those waiting for their tick, and those in use."""
 
     def __init__(self, width: int) -> None:  # Values per sample
         self._width = width
@@ -38,7 +38,7 @@ class SampleBuffer:
 
     def clear(self) -> None:
         """Drop everything."""
-        # What waits for a tick, in the order of the stamps
+        # Samples that wait for a tick, in the order of the stamps
         self._waiting_t: list[int] = []
         self._waiting_v: list[Sequence[float]] = []
         # Samples in use: stamps, ns, strictly rising, and values, (k, width)
@@ -46,9 +46,9 @@ class SampleBuffer:
         self.v: FloatArray = np.empty((0, self._width))
 
     def append(self, t_ns: int, values: Sequence[float]) -> bool:
-        """Keep a sample until a tick at or after its stamp asks for it.
+        """Store a sample until a tick at or after its stamp; return whether it was stored.
 
-        Of samples with one stamp the first to arrive counts: False is returned for the others.
+        Of samples with the same stamp only the first to arrive is stored.
         """
         at = bisect_left(self._waiting_t, t_ns)
         if self._waiting_t[at : at + 1] == [t_ns]:
@@ -57,15 +57,15 @@ class SampleBuffer:
         self._waiting_v.insert(at, values)
         return True
 
-    def call_off(self, t_ns: int) -> None:
-        """Drop what waits and is stamped at or after `t_ns`."""
+    def cancel(self, t_ns: int) -> None:
+        """Drop the waiting samples stamped at or after `t_ns`."""
         first = bisect_left(self._waiting_t, t_ns)
         del self._waiting_t[first:], self._waiting_v[first:]
 
-    def forget_waiting(self, newest_ns: int, span_ns: int) -> None:
-        """Keep only the last `span_ns` of what waits, where nothing asks for it yet.
+    def drop_old(self, newest_ns: int, span_ns: int) -> None:
+        """Drop waiting samples older than `span_ns`, before there are any ticks.
 
-        The span may be exceeded twofold, so that the work is not done at every sample.
+        The span may be exceeded twofold, which avoids a deletion at every sample.
         """
         if self._waiting_t and self._waiting_t[0] < newest_ns - 2 * span_ns:
             first = bisect_left(self._waiting_t, newest_ns - span_ns)
@@ -80,12 +80,12 @@ class SampleBuffer:
             del self._waiting_t[:ready], self._waiting_v[:ready]
 
     def leave_out(self, which: BoolArray) -> None:
-        """Drop some of the newest samples in use, chosen by a bool array of their number."""
+        """Drop some of the newest samples in use, by a mask over them."""
         kept = np.append(np.ones(len(self.t) - len(which), dtype=bool), ~which)
         self.t, self.v = self.t[kept], self.v[kept]
 
     def after(self, t_ns: int) -> int:
-        """Index of the first sample in use that is stamped after `t_ns`."""
+        """Return the index of the first sample in use that is stamped after `t_ns`."""
         return int(self.t.searchsorted(t_ns, side="right"))
 
     def trim(self, t_ns: int) -> None:
@@ -94,7 +94,7 @@ class SampleBuffer:
             self.t, self.v = self.t[first:], self.v[first:]
 
     def interpolate(self, t_ns: TimeArray) -> FloatArray:
-        """Return straight lines through the samples in use, at `t_ns` within their span."""
+        """Return the samples in use, linearly interpolated at `t_ns` within their span."""
         if len(self.t) == len(t_ns) and (self.t == t_ns).all():
             return self.v
         right = np.maximum(self.t.searchsorted(t_ns), 1)
@@ -104,12 +104,12 @@ class SampleBuffer:
         return low + share[:, None] * (self.v.take(right, axis=0) - low)
 
 
-# --- what arrives ---------------------------------------------------------------------------------
+# --- intake ---------------------------------------------------------------------------------------
 
 
 RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
 EXCITATION = "excitation"
-"""The streams, as `Intake.drops` names them."""
+"""Names of the streams, the keys of `Intake.drops`."""
 
 SECOND_NS = 1_000_000_000
 
@@ -123,11 +123,11 @@ LARGEST_MOTION = 1000.0
 """Specific force, m/s^2, and airspeed, m/s, that no aircraft survives."""
 
 LATEST_STAMP = (2**31 - 1) * 1_000_000_000
-"""Last time that a ROS stamp can hold, ns: there is no message with the ticks after it."""
+"""Last time that a ROS stamp can hold, ns: later ticks cannot be published."""
 
 
 class Drop(StrEnum):
-    """Why a sample was dropped."""
+    """Reason why a sample was dropped."""
 
     NOT_FINITE = "not finite"
     WRONG_LENGTH = "wrong number of values"
@@ -143,14 +143,14 @@ class Drop(StrEnum):
 
 
 def time_problem(t_ns: int) -> Drop | None:
-    """Return why no sample can have this stamp, ns; None if one can."""
+    """Return the problem of a stamp, ns; None if it is valid."""
     if t_ns <= 0:
         return Drop.ZERO_STAMP
     return Drop.BEYOND_STAMP if t_ns > LATEST_STAMP else None
 
 
 def value_problem(values: Sequence[float], count: int, largest: float) -> Drop | None:
-    """Return why a sample of `count` values up to `largest` cannot be used; None if it can."""
+    """Return the problem of a sample of `count` values up to `largest`; None if it is valid."""
     if len(values) != count:
         return Drop.WRONG_LENGTH
     if not math.isfinite(sum(values)):
@@ -165,48 +165,48 @@ class Stream(NamedTuple):
 
     width: int  # Number of values of a sample
     largest: float  # Magnitude that none of them may exceed
-    # Whether a late sample counts from the next tick on: it may never be said again
+    # Whether a late sample counts from the next tick on: it may not be sent again
     kept_if_late: bool = False
-    calls_off: bool = False  # Whether a sample calls off those before it of a later stamp
+    cancels: bool = False  # Whether a sample cancels earlier ones with a later stamp
 
 
 USUAL = 4 * IN_A_ROW
-"""Samples from which it is known what is usual between two streams."""
+"""Samples that determine the usual offset between two streams."""
 
 SETTLED_NS = round(INDEPENDENT_TIME / NS)
-"""Time, ns, for which a clock has stepped before it is believed: messages pile up for less."""
+"""Time for which a step must persist before it is accepted, ns: a queue of messages is shorter."""
 
 STEP_NS = round(STEP / NS)
-"""Step of a clock that is no jitter, ns: the inputs are another step late from then on."""
+"""Smallest clock step that is not jitter, ns: the inputs are later by one integration step."""
 
 
 class ClockSteps:
-    """Takes back the steps of a stream's stamps against those of the rates.
+    """Detects and removes steps of a stream's clock against that of the rates.
 
-    A clock that is set anew, by the network or an autopilot's time synchronisation, steps once. Its
-    stamps then leave out, or repeat, a time in which those of the rates went on as ever. What was
-    learned holds for the clocks as they were. A pause of either stream is none, nor is a message
-    that takes longer: then the stamps fit again as soon as the others have caught up.
+    A clock that is set by the network or an autopilot's time synchronisation steps once. Its stamps
+    then skip or repeat some time, while those of the rates continue. Estimates hold for the clock
+    before the step. A pause of either stream is not a step, nor is a message with a longer latency:
+    then the usual offset returns as soon as the other messages have arrived.
     """
 
     def __init__(self) -> None:
         self.steps: list[int] = []  # Size of each so far, ns
-        # Of the last samples: stamps, and how far they were from the newest of the rates, ns
+        # Of the last samples: stamps, and their offsets from the newest stamp of the rates, ns
         self._stamps: deque[int] = deque(maxlen=USUAL)
         self._offsets: deque[int] = deque(maxlen=USUAL)
-        self._after: list[tuple[int, int]] = []  # both, since what may be a step
+        self._after: list[tuple[int, int]] = []  # stamps and offsets since a possible step
 
     @property
-    def taken_back_ns(self) -> int:
-        """What is taken off the stamps by now, ns."""
+    def correction_ns(self) -> int:
+        """Sum of the steps so far, which is subtracted from the stamps, ns."""
         return sum(self.steps)
 
-    def put_right(self, t_ns: int, newest_ns: int | None) -> int:
-        """Return the stamp of a sample as it would be had the clock not stepped, ns.
+    def corrected(self, t_ns: int, newest_ns: int | None) -> int:
+        """Return the stamp of a sample without the clock's steps, ns.
 
-        As it arrives the newest stamp of the rates is `newest_ns`; None before any.
+        `newest_ns` is the newest stamp of the rates at its arrival; None before any.
         """
-        t_ns -= self.taken_back_ns
+        t_ns -= self.correction_ns
         if newest_ns is None:
             return t_ns
         offset = t_ns - newest_ns
@@ -214,18 +214,18 @@ class ClockSteps:
             jitter = max(self._offsets) - min(self._offsets)
             if abs(offset - self._after[0][1]) <= STEP_NS + jitter:
                 self._after.append((t_ns, offset))
-                return t_ns - self._judged()
+                return t_ns - self._confirmed_step()
             self._count(self._after)
-        if self._leaves(t_ns, offset):
+        if self._deviates(t_ns, offset):
             self._after = [(t_ns, offset)]
         else:
             self._count([(t_ns, offset)])
         return t_ns
 
-    def _leaves(self, t_ns: int, offset: int) -> bool:
-        """Whether a stamp follows those before neither by its own stream nor by the rates.
+    def _deviates(self, t_ns: int, offset: int) -> bool:
+        """Whether a stamp has neither the usual interval nor the usual offset from the rates.
 
-        After a pause of the stream nothing is said: what was late may have been lost, too.
+        After a pause of the stream it is not judged: delayed samples may have been lost as well.
         """
         if len(self._stamps) < USUAL:
             return False
@@ -237,12 +237,12 @@ class ClockSteps:
         by_rates = since - (offset - self._offsets[-1])
         return abs(since - usual) > STEP_NS and by_rates - usual <= high - low
 
-    def _judged(self) -> int:
-        """Return the size of the step, ns, once it is sure that it is one; else 0."""
+    def _confirmed_step(self) -> int:
+        """Return the size of the step, ns, once it is confirmed; else 0."""
         (first_ns, first), (last_ns, last) = self._after[0], self._after[-1]
         offset = float(np.mean([offset for _, offset in self._after]))
         size = round(offset - float(np.mean(self._offsets)))
-        passed_ns = (last_ns - last) - (first_ns - first)  # by the rates, which may be late, too
+        passed_ns = (last_ns - last) - (first_ns - first)  # on the rates' clock; may be late, too
         if len(self._after) < USUAL or passed_ns < max(abs(size), SETTLED_NS):
             return 0
         size = size if abs(size) > STEP_NS else 0
@@ -252,7 +252,7 @@ class ClockSteps:
         return size
 
     def _count(self, samples: list[tuple[int, int]]) -> None:
-        """Count samples among the usual ones."""
+        """Add samples to those that define the usual offset."""
         self._stamps.extend([t for t, _ in samples])
         self._offsets.extend([offset for _, offset in samples])
         self._after = []
@@ -262,12 +262,12 @@ Sample = tuple[int, Sequence[float], Sequence[float]]
 
 
 class Intake:
-    """What arrives, until a tick takes it."""
+    """Received samples of all streams, and the ticks that they make due."""
 
     def __init__(
         self,
         settings: Settings,
-        # Starts all that works on the samples on a new time base; it calls `restart`
+        # Restarts the whole pipeline on a new time base; it calls `restart`
         restart: Callable[[], None],
     ) -> None:
         channels = len(settings.actuators.channels)
@@ -275,7 +275,7 @@ class Intake:
             ACTUATORS: Stream(channels, LARGEST_NUMBER),
             AIRSPEED: Stream(1, LARGEST_MOTION),
             ARMED: Stream(1, 1.0, kept_if_late=True),
-            EXCITATION: Stream(len(INPUTS), LARGEST_NUMBER, kept_if_late=True, calls_off=True),
+            EXCITATION: Stream(len(INPUTS), LARGEST_NUMBER, kept_if_late=True, cancels=True),
         }
         self._restart_all = restart
         self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
@@ -284,35 +284,35 @@ class Intake:
         self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
         self._lookback_ns += 2 * self._jump_ns
         self._buffers: Mapping[str, SampleBuffer] = {}
-        # For each stream, how many samples were dropped for which reason
+        # For each stream the number of dropped samples by reason
         self.drops: dict[str, Counter[Drop]] = {name: Counter() for name in (RATES, *self._streams)}
-        self.fault = ""  # What is wrong with the clocks, in a sentence
+        self.fault = ""  # Problem of the clocks, evidence and cure; empty if none
         self.restart()
 
     def fill(self, buffers: Mapping[str, SampleBuffer]) -> None:
-        """Put samples into these buffers from now on, a stream an entry."""
+        """Set the buffers that receive the samples, by stream."""
         self._buffers = buffers
 
     def restart(self) -> None:
-        """Start on a new time base: what waits is forgotten."""
-        self.newest_ns: int | None = None  # Of the stamps of the rates
+        """Begin a new time base: discard waiting samples and ticks."""
+        self.newest_ns: int | None = None  # Newest stamp of the rates
         self._outlying: list[Sample] = []
         self._held: list[Callable[[], object]] | None = None
         self._mismatches = 0
         self.clock_steps = ClockSteps()  # Of the actuators
         self._due: deque[int] = deque()
         self._next_tick: int | None = None
-        self.last_tick_ns = NO_TICK  # Of those that were due or run
+        self.last_tick_ns = NO_TICK  # Last tick that was due or run
 
     @property
     def waiting(self) -> int:
-        """Number of ticks and outlying samples that wait."""
+        """Number of waiting ticks and outlying samples."""
         return len(self._due) + len(self._outlying)
 
     # -- rates -----------------------------------------------------------------------------
 
     def add_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
-        """Take a sample of rates and specific force; return why it was dropped, if it was."""
+        """Add a sample of rates and specific force; return why it was dropped, if it was."""
         if self._held is not None:
             self._held.append(partial(self.add_rates, t_ns, pqr, force))
             return None
@@ -337,7 +337,7 @@ class Intake:
         if not self._buffers[RATES].append(t_ns, (*pqr, *force)):
             return Drop.DUPLICATE
         if self.last_tick_ns == NO_TICK:
-            # The first samples may come in any order too.
+            # The first samples may arrive in any order.
             first = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
             first += self._tick_ns(first) < t_ns
             self._next_tick = first if self._next_tick is None else min(first, self._next_tick)
@@ -355,7 +355,7 @@ class Intake:
     def _take_outlying(
         self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
     ) -> Drop | None:
-        """Put by an outlying sample; start anew with those that agree, once no tick is due."""
+        """Store an outlying sample; begin a new time base if enough agree and no tick is due."""
         outlying = self._outlying
         if outlying and not 0 < t_ns - outlying[-1][0] <= self._jump_ns:
             outlying.clear()
@@ -370,7 +370,7 @@ class Intake:
         return None
 
     def _take_held(self) -> None:
-        """Begin the new time base with what was held back for it."""
+        """Begin the new time base with the samples held back for it."""
         held, self._held = self._held or [], None
         self._restart_all()
         for add in held:
@@ -379,15 +379,15 @@ class Intake:
     # -- the other streams -----------------------------------------------------------------
 
     def add(self, name: str, t_ns: int, values: Sequence[float], own: bool = False) -> Drop | None:
-        """Take a sample of a stream beside the rates; return why it was dropped, if it was.
+        """Add a sample of a stream beside the rates; return why it was dropped, if it was.
 
-        What is our `own` was said after a tick, for ticks that still wait.
+        An `own` sample was produced by a tick, and applies to the ticks that still wait.
         """
         if self._held is not None:
             self._held.append(partial(self.add, name, t_ns, values, own))
             return None
         if name == ACTUATORS:
-            t_ns = self.clock_steps.put_right(t_ns, self.newest_ns)
+            t_ns = self.clock_steps.corrected(t_ns, self.newest_ns)
         stream, buffer = self._streams[name], self._buffers[name]
         problem = value_problem(values, stream.width, stream.largest) or self._stamp_problem(t_ns)
         if name == ACTUATORS:
@@ -396,18 +396,18 @@ class Intake:
             waited_for = own and bool(self._due) and t_ns >= self._due[0]
             t_ns, problem = t_ns if waited_for else self.last_tick_ns + 1, None
         if problem is None:
-            if stream.calls_off:
-                buffer.call_off(t_ns)
+            if stream.cancels:
+                buffer.cancel(t_ns)
             if not buffer.append(t_ns, values):
                 problem = Drop.DUPLICATE
             elif self._next_tick is None:
-                buffer.forget_waiting(t_ns, self._lookback_ns)
+                buffer.drop_old(t_ns, self._lookback_ns)
         if problem is not None:
             self.drops[name][problem] += 1
         return problem
 
     def _stamp_problem(self, t_ns: int) -> Drop | None:
-        """Say what is wrong with a stamp beside those of the rates."""
+        """Return the problem of a stamp relative to the rates' stamps; None if there is none."""
         problem = time_problem(t_ns)
         if problem is not None:
             return problem
@@ -416,7 +416,7 @@ class Intake:
         return Drop.LATE if t_ns <= self.last_tick_ns else None
 
     def _follow_clock(self, t_ns: int, problem: Drop | None) -> None:
-        """Find that the actuators run on another clock, or no longer do."""
+        """Set or clear the fault that the actuators are stamped by another clock."""
         if problem is None or problem is Drop.LATE:
             self._mismatches, self.fault = 0, ""
         elif problem is Drop.CLOCK_MISMATCH and self.newest_ns is not None:

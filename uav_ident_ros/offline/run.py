@@ -179,7 +179,7 @@ class OfflineRun:
                 self._keep_rates(*taken)
         elif feed.stream.name == ACTUATORS and taken is not None:
             t_ns, values = taken
-            t_ns -= self.identifier.intake.clock_steps.taken_back_ns
+            t_ns -= self.identifier.intake.clock_steps.correction_ns
             self._actuators.append(t_ns, values, self.era)
 
     def _keep_rates(self, t_ns: int, values: Any) -> None:
