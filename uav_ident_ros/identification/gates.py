@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When not to learn: on the ground, and while the signals cannot be what they say.
+"""Gates: reasons to pause learning, such as an aircraft on the ground or a failed sensor.
 
-The gates are a table: name, setting, predicate. Each looks at the signals of a tick and gives the
-reason to pause, or none, and what it cost is counted under its name. Thresholds are relative to
-this aircraft's own noise where there is a choice. Whether the inputs excite the aircraft at all is
-another question: `estimators.excitation`.
+The gates are a table: name, setting, predicate. Each evaluates the signals of a tick and returns
+the reason to pause, or none. The ticks that it cost are counted under its name. Thresholds are
+relative to the aircraft's own noise where possible. Excitation is judged in
+`estimators.excitation`.
 """
 
 from __future__ import annotations
@@ -32,34 +32,34 @@ from uav_ident_ros.identification.speed import slowest
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
 NOISE_SWING = 2.0 * DOUBTLESS
-"""Swing, relative to its standard deviation, that noise of two seconds does not exceed: `DOUBTLESS`
-both ways, and 3 to 6 as a rule. Rates of aircraft in the smoothest flight swing by 11 and more of
-the gyro's."""
+"""Peak-to-peak swing of noise over two seconds, in standard deviations: `DOUBTLESS` both ways is
+not exceeded, 3 to 6 is usual. In the smoothest flight the rates swing by 11 and more standard
+deviations of the gyro's noise."""
 
 REST_SWAY = 0.01
-"""Swing of the rates of an aircraft that stands, rad/s: wind and an idling engine rock it."""
+"""Swing of the rates of an aircraft at rest, rad/s: wind and an idling engine rock it."""
 
 CHANCE = math.erfc(SURE / math.sqrt(2.0))
-"""Expected number of what is no chance any more: as rare as `SURE` standard deviations."""
+"""Expected number below which an event is not due to chance: the tail beyond `SURE` sigma."""
 
 SIGNALS = ("p", "q", "r", "ax", "ay", "az")
-"""What an Imu measures, in its own axes."""
+"""Signals of an Imu, in its own axes."""
 
 AXES = 3
 """Signals of each sensor of an Imu."""
 
 
 class Look(NamedTuple):
-    """What the gates see of a tick."""
+    """Signals of one tick, as passed to the gates."""
 
     t: float  # Time of the tick, s
-    # (k, 6) Rates, rad/s, and specific forces, m/s^2, that came with it, Imu axes
+    # (k, 6) Rates, rad/s, and specific forces, m/s^2, of this tick, Imu axes
     samples: FloatArray
-    raw: FloatArray  # (j, N) Values of the channels that are still at work in the filters
+    raw: FloatArray  # (j, N) Raw channels that still affect the state of the filters
     airspeed: float | None  # True airspeed, m/s; None if there is none
-    armed: bool | None  # Whether the motors are armed; None if nothing was heard of it
+    armed: bool | None  # Whether the motors are armed; None if no message has arrived
     adapt: bool  # Whether learning is switched on
-    implausible: str  # What cannot be as the settings say; empty if nothing
+    implausible: str  # Contradiction between signals and settings; empty if there is none
     settings: Settings  # All settings
 
 
@@ -69,16 +69,16 @@ class Gate(NamedTuple):
     name: str  # One or two words
     setting: str  # Name of the setting that opens it, or moves its threshold
     check: Callable[[Look], str]  # From a `Look` to the reason to pause; empty if there is none
-    # Whether the signals then tell nothing of the coefficients either: no score is kept
+    # Whether the signals are also unfit for scoring the coefficients while it is closed
     unreadable: bool = False
 
 
 class Cost(NamedTuple):
-    """What a gate has cost."""
+    """Learning time that a gate has cost."""
 
-    share: float  # Share of the ticks at which it kept from learning, 0 ... 1.
-    setting: str  # Setting that goes with it
-    reason: str  # The last reason that it gave
+    share: float  # Share of the ticks at which it prevented learning, 0 ... 1.
+    setting: str  # Setting that belongs to it
+    reason: str  # Its last reason
 
 
 TOO_QUIET, TOO_FAR = "too little excitation", "residual far outside its usual size"
@@ -91,9 +91,9 @@ ROW_GATES: Mapping[str, tuple[str, str]] = {
 
 
 class Gates:
-    """The table of gates, and what each of them has cost."""
+    """The table of gates, and the cost of each."""
 
-    def __init__(self, more: Sequence[Gate] = ()) -> None:  # Of one's own, beside the table
+    def __init__(self, more: Sequence[Gate] = ()) -> None:  # Additional gates
         self._more = more
         self._ticks = 0
         self._closed: Counter[str] = Counter()
@@ -101,8 +101,8 @@ class Gates:
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new stretch of signals; what was counted stays."""
-        self.closed = ""  # Why nothing is learned at this tick; empty if every gate is open
+        """Begin a new stretch of signals; the counts stay."""
+        self.closed = ""  # Reason to pause at this tick; empty if every gate is open
         self.unreadable = False  # Whether the signals of this tick must not be scored either
         self.table: tuple[Gate, ...] = (
             Gate("implausible", "supervision.plausibility", lambda look: look.implausible, True),
@@ -128,10 +128,10 @@ class Gates:
         )
 
     def look(self, look: Look) -> str:
-        """Return why to pause; empty if there is no reason. The first closed gate is charged."""
+        """Return the reason to pause; empty if none. The first closed gate is charged."""
         self._ticks += 1
         self.closed, self.unreadable = "", False
-        for gate in self.table:  # every gate sees every tick, whichever of them is closed
+        for gate in self.table:  # all gates are evaluated, to keep their states up to date
             reason = gate.check(look)
             if not reason:
                 continue
@@ -142,11 +142,11 @@ class Gates:
         return self.closed
 
     def charge(self, name: str, ticks: float) -> None:
-        """Count a gate of `ROW_GATES` that kept some rows from ticks, in ticks of all rows."""
+        """Charge a gate of `ROW_GATES` with ticks, as a share of all rows."""
         self._closed[name] += ticks  # type: ignore[assignment]
 
     def costs(self) -> dict[str, Cost]:
-        """Return what each gate has cost so far, by name, the dearest first; those that did."""
+        """Return the cost of each gate that was closed, by name, the highest first."""
         settings = {gate.name: gate.setting for gate in self.table}
         settings.update({name: setting for name, (setting, _) in ROW_GATES.items()})
         return {
@@ -157,7 +157,7 @@ class Gates:
 
 
 class TickMeans:
-    """Means over each tick of what an Imu measures, of the newest ticks."""
+    """Means of the Imu's signals over each of the newest ticks."""
 
     def __init__(self, span: float) -> None:  # Time for which they are kept, s
         self._span = span
@@ -165,14 +165,14 @@ class TickMeans:
         self._means: FloatArray = np.empty((0, 1 + len(SIGNALS)))
 
     def add(self, t: float, samples: FloatArray) -> None:
-        """Put by the samples, (k, 6), of the tick at `t` s, if there are any."""
+        """Store the samples, (k, 6), of the tick at `t` s, if there are any."""
         if len(samples):
             self._new.append((t, samples))
 
     def until(self, t: float) -> FloatArray:
-        """Return those within the span before `t`: time, s, and the means of the signals, (n, 7).
+        """Return the means within the span before `t`: time, s, and the six signals, (n, 7).
 
-        The means of all ticks since the last call are formed together.
+        The means of all ticks since the last call are computed together.
         """
         if self._new:
             times, samples = zip(*self._new, strict=True)
@@ -187,17 +187,17 @@ class TickMeans:
 
 
 class GlitchFilter:
-    """Leaves out samples of the gyro that are at its range for an instant, which no aircraft is."""
+    """Filter for glitches: gyro samples at the range for an instant, which no motion causes."""
 
     def __init__(self) -> None:
         self._run = 0
 
     def find(
         self,
-        rates: FloatArray,  # (k, 3) New ones, rad/s, Imu axes
+        rates: FloatArray,  # (k, 3) New samples, rad/s, Imu axes
         max_rate: float,  # Range of the gyro, rad/s; 0 if it is not known: nothing is a glitch
     ) -> BoolArray | None:
-        """Return which samples are glitches, shape (k,); None if all are well within the range."""
+        """Return the mask of the glitches, shape (k,); None if all are within the range."""
         if max_rate <= 0.0 or not len(rates) or np.maximum.reduce(np.abs(rates), None) < max_rate:
             self._run = 0
             return None
@@ -209,28 +209,28 @@ class GlitchFilter:
 
 
 class SpikeFilter:
-    """Leaves out single samples that are far from both their neighbours, as no motion is.
+    """Filter for spikes: single samples far beyond both neighbours, which no motion causes.
 
-    A sample between its neighbours stays, so that steps do, however steep. Far is more than the
-    signal's own rms of late by `NOISE_SWING`: a vibration at half the sampling rate, which comes
-    back with every sample, is 2.8 of its rms away.
+    A sample between its neighbours stays; thus steps stay, however steep. The threshold is
+    `NOISE_SWING` times the recent rms of the signal. A vibration at half the sampling rate reaches
+    2.8 times its rms.
     """
 
     def __init__(self) -> None:
         self._square: FloatArray = np.zeros(len(SIGNALS))
         self._time = 0.0
-        # The last sample, and the last that was no spike
+        # Last sample, and last one that was not a spike
         self._last: FloatArray | None = None
         self._kept: FloatArray = np.zeros(len(SIGNALS))
 
     def find(
         self,
-        samples: FloatArray,  # (k, 6) New ones
-        dt: float,  # Time that they stand for, s
+        samples: FloatArray,  # (k, 6) New samples
+        dt: float,  # Time that they cover, s
     ) -> BoolArray | None:
-        """Return which samples are spikes, shape (k,); None if none is.
+        """Return the mask of the spikes, shape (k,); None if there is none.
 
-        The last one has no neighbour after it yet: it counts as one if it leaves all before it.
+        The last sample has no successor yet: the last one that was not a spike stands in for it.
         """
         if not len(samples):
             return None
@@ -250,7 +250,7 @@ class SpikeFilter:
         return which
 
     def _far(self, rows: FloatArray, limit: FloatArray) -> BoolArray | None:
-        """Find those after the first that are beyond both neighbours by more than `limit`."""
+        """Return the mask of the rows after the first that exceed both neighbours by `limit`."""
         which = np.zeros(len(rows) - 1, dtype=bool)
         for k in range(len(which)):
             before, here = rows[k], rows[k + 1]
@@ -265,23 +265,22 @@ class SpikeFilter:
 
 
 class SensorGate:
-    """Closed while a signal of the Imu is saturated or stuck, and shortly after.
+    """Gate that closes while a signal of the Imu is saturated or stuck, and shortly after.
 
-    A gyro that works is never still: a signal that has moved and then repeats one value is
-    not measured any more.
+    A working gyro is never still: a signal that has moved and then repeats one value is stuck.
     """
 
     def __init__(self) -> None:
         self._repeats = Repeats()
         self._last: list[float] = []
-        self._moved = [math.inf] * len(SIGNALS)  # When each did so last, s
-        # Of the rates: the largest magnitude so far, and the range that it has shown to be
+        self._moved = [math.inf] * len(SIGNALS)  # Time of the last change of each, s
+        # Of each rate: the largest magnitude so far, and the range detected from it
         self._largest, self._range = [0.0] * AXES, [math.inf] * AXES
         self._bad_until = -math.inf
         self._reason = ""
 
     def check(self, look: Look) -> str:
-        """Return why to pause; empty if there is no reason."""
+        """Return the reason to pause; empty if there is none."""
         t, samples, settings = look.t, look.samples, look.settings.supervision
         if len(samples):
             self._last = self._last or samples[0].tolist()
@@ -301,7 +300,7 @@ class SensorGate:
         return self._reason if t < self._bad_until else ""
 
     def _clipped(self, size: list[float]) -> str:
-        """Find a range smaller than told: a rate stays at the largest value that it ever had."""
+        """Detect a range below the configured one: a rate repeats its largest value so far."""
         for i, largest in enumerate(size):
             if largest > self._range[i]:
                 self._range[i] = math.inf
@@ -313,7 +312,7 @@ class SensorGate:
         return _at_range(size, self._range)
 
     def _stuck(self, t: float, high: list[float], low: list[float], stuck_time: float) -> str:
-        """Find a signal that has moved and stays for longer than it is used to."""
+        """Detect a signal that has moved and repeats one value for unusually long."""
         still = []
         for i, last in enumerate(self._last):
             if not low[i] == last == high[i]:
@@ -330,7 +329,7 @@ class SensorGate:
 
 
 def _at_range(size: list[float], limits: list[float]) -> str:
-    """Say which rate is at its range; empty if none is."""
+    """Return the reason to pause if a rate is at its range; else empty."""
     for signal, value, limit in zip(SIGNALS, size, limits, strict=False):
         if value >= limit:
             return f"the gyro is saturated: {signal} reaches {limit:g} rad/s"
@@ -338,37 +337,36 @@ def _at_range(size: list[float], limits: list[float]) -> str:
 
 
 class Repeats:
-    """How often each signal of the Imu repeats its value, and for how long at a time.
+    """Statistics of the runs of equal values in each signal of the Imu.
 
-    A signal that rounds coarsely, or is logged slowly, repeats itself wherever it is quiet.
+    A signal that is coarsely rounded, or slowly logged, repeats its value while it is quiet.
     """
 
     def __init__(self) -> None:
-        self._waiting: list[FloatArray] = []  # To be counted, after the last sample that was
+        self._waiting: list[FloatArray] = []  # The last counted sample, then those not counted yet
         self._present: FloatArray = np.zeros(len(SIGNALS))
-        # Of runs that have ended: how many there were, and the repeats in them
+        # Number of the runs that have ended, and of the repeats in them
         self._runs: FloatArray = np.zeros(len(SIGNALS))
         self._repeats: FloatArray = np.zeros(len(SIGNALS))
         self._changes: FloatArray = np.ones(len(SIGNALS))
-        # Signals whose present run of equal values is no habit of theirs, as before they first
-        # moved: it will not count as one
+        # Signals whose present run is not counted: it was stuck, or has not changed since the start
         self.strange: BoolArray = np.ones(len(SIGNALS), dtype=bool)
 
     def add(self, samples: FloatArray) -> None:
         """Add new samples, (k, 6); those of many ticks are counted together."""
         self._waiting = self._waiting or [samples[:1]]
         self._waiting.append(samples)
-        if len(self._waiting) > IN_A_ROW**2:  # only memory depends on how many
+        if len(self._waiting) > IN_A_ROW**2:  # only memory depends on this number
             self._count()
 
     @property
     def present(self) -> FloatArray:
-        """Repeats in the run that goes on, (6,)."""
+        """Number of repeats in the present run of each signal, (6,)."""
         self._count()
         return self._present
 
     def _count(self) -> None:
-        """Count what waits."""
+        """Count the waiting samples."""
         if len(self._waiting) < 2:
             return
         samples = np.concatenate(self._waiting)
@@ -388,11 +386,11 @@ class Repeats:
         self.strange &= ~changed
 
     def by_chance(self) -> FloatArray:
-        """Return how many of its runs would be as long as the present one by chance, (6,).
+        """Return the expected number of runs as long as the present one by chance, (6,).
 
-        A repeat follows on a change as often as it did so far, one repeat on another, too; of
-        what has not been seen, the former stands for the latter. The axes of a sensor round alike,
-        and the one that moved least shows how long it can repeat itself.
+        The probabilities of a repeat after a change, and after a repeat, are the observed
+        frequencies. Before a second repeat is observed the former replaces the latter. The axes of
+        a sensor have the same rounding, so the largest probability holds for all of them.
         """
         present, runs = self.present, self._runs + 1.0
         first = runs / (self._changes + 1.0)
@@ -402,10 +400,10 @@ class Repeats:
 
 
 class RestGate:
-    """Closed while nothing moves: on the ground, inputs have no effect to learn.
+    """Gate that closes while nothing moves: on the ground, inputs have no effect.
 
-    What counts as motion stands out from the gyro's noise. A large aircraft in smooth flight turns
-    slowly, but does; an aircraft that stands does not.
+    Motion is a swing of the rates above the gyro's noise. A large aircraft in smooth flight turns
+    slowly, but more than that; an aircraft at rest does not.
     """
 
     def __init__(self) -> None:
@@ -415,12 +413,12 @@ class RestGate:
         self._begun = False
 
     def check(self, look: Look) -> str:
-        """Return why to pause; empty if there is no reason."""
+        """Return the reason to pause; empty if there is none."""
         t, samples, settings = look.t, look.samples, look.settings.supervision
         if self._begun:  # the first tick may have one sample alone, which is noisier
             self._means.add(t, samples)
         self._begun = self._begun or len(samples) > 0
-        # It opens at once, and closes when it next looks.
+        # It opens at once, and closes at the next check only.
         if not self._reason and t - self._looked < LOOK_TIME:
             return ""
         means = self._means.until(t)[:, 1:]
@@ -433,7 +431,7 @@ class RestGate:
 
 
 def _still(means: FloatArray, min_motion: float, min_force_motion: float) -> str:
-    """Return what does not move, by the means of some ticks, (n, 6); empty if everything does."""
+    """Return the signals at rest, from the means of some ticks, (n, 6); empty if all move."""
     swing = np.maximum.reduce(means) - np.minimum.reduce(means)
     rate = float(swing[:AXES].max())
     if rate < min_motion and rate < max(REST_SWAY, NOISE_SWING * _noise(means[:, :AXES])):
@@ -444,7 +442,7 @@ def _still(means: FloatArray, min_motion: float, min_force_motion: float) -> str
 
 
 def _noise(rates: FloatArray) -> float:
-    """Noise of rates (k, 3) in the unit of theirs, from second differences; of the worst axis."""
+    """Return the noise of rates (k, 3) on the worst axis, from second differences, rad/s."""
     if len(rates) < 3:
         return math.inf
     second = rates[2:] - 2.0 * rates[1:-1] + rates[:-2]
@@ -452,9 +450,9 @@ def _noise(rates: FloatArray) -> float:
 
 
 def at_limit(raw: FloatArray, settings: ActuatorSettings) -> str:
-    """Return which channel is at its limit: there the surface need not follow the command.
+    """Return the reason to pause if a channel is at its limit: its surface may not follow.
 
-    The values, (k, N), are those that are still at work in the filters.
+    The values, (k, N), are those that still affect the state of the filters.
     """
     if not len(raw) or not (settings.lower_limit or settings.upper_limit):
         return ""
@@ -464,11 +462,11 @@ def at_limit(raw: FloatArray, settings: ActuatorSettings) -> str:
 
 
 class ResidualGate:
-    """Keeps what is far from usual away from coefficients that were good.
+    """Robust weighting of samples with unusually large residuals.
 
-    Samples count less the further their residuals are above the usual size, and not at all far
-    beyond it, or where the inputs no longer stand out: then it is a storm, and they answer it.
-    The usual size grows slowly, and never in a storm, however long that lasts.
+    The weight falls with the size of the residual. It is zero far above the usual size, or where
+    the effect of the inputs does not exceed the disturbance, as in a storm with feedback. The usual
+    size grows slowly, and never in a storm.
     """
 
     def __init__(self) -> None:
@@ -476,17 +474,17 @@ class ResidualGate:
         self._time = [0.0] * len(ROWS)  # Time over which they were taken, s
 
     def release(self, row: int) -> None:
-        """Learn anew what is usual in a row."""
+        """Estimate the usual size of a row's residual anew."""
         self._time[row] = 0.0
 
     def weigh(
         self,
         residual: FloatArray,  # (m, 3) Of the samples, rad/s^2
-        dt: float,  # Time that they stand for, s
-        max_residual: float,  # Relative to its usual size, what is too much; 0 for none
-        clear: BoolArray,  # (3,) Rows in which the inputs stand out from all else that moves it
+        dt: float,  # Time that they cover, s
+        max_residual: float,  # Limit relative to the usual size; 0 for none
+        clear: BoolArray,  # (3,) Rows in which the effect of the inputs exceeds the disturbance
     ) -> FloatArray:
-        """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1."""
+        """Return the weight of the samples of a tick in each row, shape (3,), 0 ... 1."""
         squares = (np.add.reduce(residual * residual) / len(residual)).tolist()
         weights = []
         for i, (square, stands_out) in enumerate(zip(squares, clear.tolist(), strict=True)):
@@ -504,9 +502,9 @@ class ResidualGate:
 
 
 def grounded(settings: Settings, armed: bool | None, airspeed: float | None) -> str:
-    """Return why it does not fly; empty if there is no reason to think so.
+    """Return the reason why the aircraft is not flying; empty if there is none.
 
-    None is what nothing was heard of; the airspeed is the true one, m/s.
+    None stands for a value that has not arrived; the airspeed is the true one, m/s.
     """
     if settings.armed.type and not armed:
         return "not armed" if armed is not None else "no message says that it is armed"

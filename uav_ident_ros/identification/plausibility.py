@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the signals can be what the settings say: mistakes named before they are learned.
+"""Plausibility checks: contradictions between the signals and the settings.
 
-Gravity and rigid rotation hold whatever the aircraft does. Averaged over seconds the specific
-force is one g upwards, and turned back by the gyro into one attitude it stays so in turns, rolls
-and loops: what is left of it is the change of velocity, a few m/s^2 at most. Channels are looked
-at for numbers that no surface can follow, coefficients for what no surface does. Each finding says
-what is wrong, what shows it and what to do.
+Gravity and rigid-body rotation hold in any manoeuvre. The specific force, averaged over seconds,
+is one g upwards. Rotated by the gyro into one attitude it keeps this mean in turns, rolls and
+loops, less the change of velocity, a few m/s^2 at most. Channels are checked for impossible
+deflections, coefficients for swapped or reversed surfaces. A finding gives problem, evidence and
+cure.
 """
 
 from __future__ import annotations
@@ -45,62 +45,62 @@ from uav_ident_ros.identification.structure import (
 )
 
 ENOUGH = 2.0 * RESPONSE_TIME
-"""Time before anything is found, s: a launch is over by then, and the mistake named within ten.
-Channels are looked at over as long."""
+"""Time before the first finding, s: a launch is over by then, and mistakes are named within 10 s.
+Channels are checked over the same time."""
 
 WINDOW = 2.0 * ENOUGH
-"""Time over which the specific force is turned back, s: a change of velocity of 20 m/s counts for
-a quarter of a g."""
+"""Time over which the rotated specific force is averaged, s: a change of velocity of 20 m/s is a
+quarter of a g."""
 
 LARGEST_TILT = math.cos(math.radians(60.0))
-"""Cosine of the mean tilt from which the Imu is mounted otherwise: none flies so on average."""
+"""Cosine of the largest mean tilt of a flight: beyond it the mounting is wrong."""
 
 GRAVITY_LEFT = 1.0 - GRAVITY_BAND
-"""Length of a mean of directions, or of forces in g, from which they are one: less is left in rolls
-and loops, and where the gyro turns gravity wrongly. Turned back by a right one 0.9 or more is left
-on every flight known, turbulence and turns included."""
+"""Length of a mean of unit directions, or of forces in g, from which these agree. It is shorter in
+rolls and loops, and with a wrong gyro. With a correct one it is 0.9 or more on every known flight,
+turbulence and turns included."""
 
 SMALLEST_MEAN_RATE = 1.0 / RESPONSE_TIME
-"""Mean size of the angular rate, rad/s, from which a wrong unit would show: slower, less than a
-radian is turned in `RESPONSE_TIME`. Of the recorded flights known that turn as fast none pulls as
-steadily."""
+"""Mean angular rate from which a wrong unit is detectable, rad/s: at a lower rate the aircraft
+turns by less than a radian in `RESPONSE_TIME`. No recorded flight with such a rate has as steady a
+specific force."""
 
 PULLING_SPEED = GRAVITY * ENOUGH
-"""Airspeed V, m/s, at which an aircraft that turns at w pulls V w. One whose specific force varies
-by more than that did not turn so slowly as it would have, were its gyro in deg/s. (Quadrotors in
-aerobatics: 77 m/s and more; aircraft whose gyro is told in deg/s: at most 30.)"""
+"""Airspeed V, m/s: a turn at the rate w has the specific force V w. If the specific force varies by
+more than V times the rate read as deg/s, the unit is rad/s. (Quadrotors in aerobatics: 77 m/s and
+more; aircraft whose gyro is in deg/s: at most 30.)"""
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.4 * GRAVITY, 6.0 * GRAVITY
-"""Mean size of the specific force, m/s^2: none is weightless, or pulls six g, on average."""
+"""Limits of the mean magnitude of the specific force, m/s^2: no flight is outside on average."""
 
 LARGEST_TRIM = 0.6
-"""Mean deviation from trim, rad, that no surface is flown with for seconds: 34 degrees."""
+"""Mean deviation from trim that no surface has for seconds, rad: 34 degrees."""
 
 LARGEST_DEFLECTION = math.pi
 """Deflection that no surface reaches, rad."""
 
 COUNTS = math.degrees(LARGEST_DEFLECTION)
-"""Deviation from trim from which a channel is not in degrees either, but in microseconds."""
+"""Deviation from trim that is too large for degrees as well: the channel is in microseconds."""
 
 STEP = 0.02
-"""Step of an input that is no noise, rad or throttle."""
+"""Smallest step of an input that is not noise, rad or throttle."""
 
 RETURNING_SHARE = 0.1
-"""Share of samples that are undone by the next from which two publishers are at work."""
+"""Share of samples reversed by the next one from which there are two publishers."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that cannot be as the settings say."""
+    """A contradiction between the signals and the settings."""
 
     name: str  # One word
     text: str  # Problem, evidence and cure
-    # Whether nothing can be learned before it is put right; else it is a warning
+    # Whether learning is impossible until it is corrected; else it is a warning
     fault: bool = True
 
 
 def clock_step(seconds: float) -> Finding:
-    """Return what is said of stamps of the actuators that stepped, s."""
+    """Return the warning for stamps of the actuators that stepped by some seconds."""
     return Finding(
         "clock step",
         f"the stamps of the actuators stepped by {seconds:+.2f} s against the Imu's: it was taken "
@@ -111,18 +111,19 @@ def clock_step(seconds: float) -> Finding:
 
 
 class Doubt(NamedTuple):
-    """Channels that were found, by what they do, to be swapped or reversed.
+    """Hypothesis that channels are swapped or reversed, from their control derivatives.
 
-    It stays until it is the less likely, and is a finding once it was sure again some time later.
+    It is dropped when it becomes the less likely. It is confirmed if it is significant again after
+    `ENOUGH` s.
     """
 
     since: float  # s
-    finding: Finding  # With the evidence when it was last sure
+    finding: Finding  # With the evidence when it was last significant
     confirmed: bool = False
 
 
 class Plausibility:
-    """Looks at the signals for mistakes in how they are read."""
+    """Checks the signals for wrong units, axes, trim and channels."""
 
     def __init__(self, settings: Settings) -> None:
         self._imu = settings.imu
@@ -132,16 +133,16 @@ class Plausibility:
         self._structure = STRUCTURES[settings.structure]
         self._expected = settings.supervision.expected_signs
         self._multirotor = settings.actuators.multirotor
-        # Of the direction of the specific force, of itself, and of its size, times s
+        # Integrals over time of direction (3), vector (3) and magnitude (1) of the specific force
         self._sums: FloatArray = np.zeros(7)
         self._time = 0.0
         self._found: dict[str, tuple[float, Finding]] = {}
-        # Everything that was found since the start, by name, as it was last seen
+        # All findings since the start, by name, in their latest form
         self.noted: dict[str, Finding] = {}
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new stretch of signals; what was found stays for its time."""
+        """Begin a new stretch of signals: drop the present findings, keep `noted`."""
         self._motion = TickMeans(WINDOW)
         self._inputs: list[tuple[float, FloatArray]] = []
         self._began: float | None = None
@@ -152,7 +153,7 @@ class Plausibility:
 
     @property
     def findings(self) -> list[Finding]:
-        """What is wrong now, faults first."""
+        """Present findings, faults first."""
         if not self._found and self._doubt is None:  # nearly always
             return []
         found = [f for _, f in self._found.values()]
@@ -162,26 +163,26 @@ class Plausibility:
 
     @property
     def fault(self) -> str:
-        """The first fault, in words; empty if there is none."""
+        """Text of the first fault; empty if there is none."""
         return next((f.text for f in self.findings if f.fault), "")
 
     @property
     def signal_fault(self) -> str:
-        """The first fault of the signals, from which nothing can be learned; else empty."""
+        """Text of the first fault of the signals, which prevents learning; empty if none."""
         return next((f.text for _, f in self._found.values() if f.fault), "")
 
     @property
     def doubted(self) -> bool:
-        """Whether the coefficients say that channels are swapped or reversed, sure or not yet."""
+        """Whether the coefficients suggest swapped or reversed channels, confirmed or not."""
         return self._doubt is not None
 
     def note(self, t: float, finding: Finding) -> None:
-        """Take note of what was found elsewhere at `t` s."""
+        """Add a finding of another module at `t` s."""
         self._found[finding.name] = t, finding
         self.noted[finding.name] = finding
 
     def judge(self, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Look at what was learned for channels that are swapped or reversed."""
+        """Check the coefficients for channels that are swapped or reversed."""
         known = (self._structure, coefficients, sigma, self._expected)
         find = partial(coefficient_finding, *known, multirotor=self._multirotor)
         found, before = find(), self._doubt
@@ -201,7 +202,7 @@ class Plausibility:
         samples: FloatArray,  # (k, 6) Rates, rad/s, and specific forces, m/s^2, Imu axes
         raw: FloatArray,  # (j, N) Raw channels
     ) -> None:
-        """Look at what came with a tick."""
+        """Check the signals of a tick."""
         self._now = t
         if self._began is None:
             self._began = self._looked = t
@@ -212,19 +213,19 @@ class Plausibility:
             return
         span, self._looked = t - self._looked, t
         self._inputs = [(time, values) for time, values in self._inputs if t - time <= ENOUGH]
-        # Evidence comes and goes with motion.
+        # Evidence depends on motion: a finding stays for `MEMORY` s after it was last seen.
         self._found = {n: f for n, f in self._found.items() if t - f[0] < MEMORY}
-        found = [*self._look_at_motion(t, span), *self._look_at_inputs()]
+        found = [*self._check_motion(t, span), *self._check_inputs()]
         self._found.update({f.name: (t, f) for f in found if t - self._began >= ENOUGH})
         self.noted.update({f.name: f for f in self.findings})
 
     # -- gravity ---------------------------------------------------------------------------
 
-    def _look_at_motion(self, t: float, span: float) -> list[Finding]:
+    def _check_motion(self, t: float, span: float) -> list[Finding]:
         motion = self._motion.until(t)
         times, rates, force = motion[:, 0], motion[:, 1:4], motion[:, 4:]
         if len(times) < 2 or (np.abs(force - force[0]) <= 1e-9 * np.abs(force[0])).all():
-            return []  # an accelerometer that repeats itself is none
+            return []  # a constant value is not from an accelerometer
         recent = force[times > t - span]
         if len(recent):
             self._follow(self._frame.to_body(recent), span)
@@ -232,7 +233,7 @@ class Plausibility:
         return [found] if found else []
 
     def _follow(self, force: FloatArray, span: float) -> None:
-        """Follow the mean specific force: what is wrong with it is wrong from the start."""
+        """Update the mean specific force, over the flight: settings are wrong from the start."""
         size = np.linalg.norm(force, axis=1, keepdims=True)
         direction = force / np.maximum(size, 0.5 * GRAVITY)
         self._sums += span * np.concatenate([direction, force, size], axis=1).mean(axis=0)
@@ -242,7 +243,7 @@ class Plausibility:
             self._time = LONG_MEMORY
 
     def _size(self) -> Finding | None:
-        """Find a specific force in another unit, or without gravity."""
+        """Return a finding if the specific force is in another unit or without gravity."""
         size = float(self._sums[6]) / self._time
         mean = float(np.linalg.norm(self._sums[3:6])) / self._time
         if SMALLEST_FORCE <= size <= LARGEST_FORCE:
@@ -260,7 +261,7 @@ class Plausibility:
         return Finding("force size", evidence + cure)
 
     def _mounting(self) -> Finding | None:
-        """Find an Imu that is mounted, or whose axes are named, otherwise."""
+        """Return a finding if mounting or axis convention of the Imu is wrong."""
         mean = self._sums[:3] / self._time
         length = float(np.linalg.norm(mean))
         if length < GRAVITY_LEFT or -mean[2] > LARGEST_TILT * length:
@@ -275,7 +276,7 @@ class Plausibility:
         )
 
     def _better_mounting(self, direction: FloatArray) -> str:
-        """Say which convention or attitude of the Imu puts gravity where it belongs."""
+        """Return the convention or mounting that makes the mean specific force point upwards."""
         own, imu, quarter = self._frame.to_imu(direction), self._imu, 0.5 * math.pi
 
         def up(**other: Any) -> float:
@@ -295,7 +296,7 @@ class Plausibility:
     def _gyro_units(
         self, times: FloatArray, rates: FloatArray, force: FloatArray
     ) -> Finding | None:
-        """Find a gyro that turns gravity as no aircraft does, and would not in deg/s; any axes."""
+        """Return a finding if gravity is constant with rates in deg/s only; any axes."""
         speed = float(np.mean(np.linalg.norm(rates, axis=1)))
         if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < SMALLEST_MEAN_RATE:
             return None
@@ -313,16 +314,16 @@ class Plausibility:
 
     # -- channels --------------------------------------------------------------------------
 
-    def _look_at_inputs(self) -> list[Finding]:
+    def _check_inputs(self) -> list[Finding]:
         if not self._inputs or self._inputs[-1][0] - self._inputs[0][0] < ENOUGH - INDEPENDENT_TIME:
             return []
         raw = np.concatenate([values for _, values in self._inputs])
-        # Slower, they may be the wobble of an attitude loop, near 5 Hz on a quadrotor.
+        # Slower samples may show the oscillation of an attitude loop, near 5 Hz on a quadrotor.
         quick = len(raw) * SAMPLE_TIME >= self._inputs[-1][0] - self._inputs[0][0]
         u = self._map.apply(raw)
         without_trim = raw @ self._map.matrix.T
         found: list[Finding] = []
-        used = (u != u[0]).any(axis=0)  # the others are not in use, or not armed yet
+        used = (u != u[0]).any(axis=0)  # constant inputs are not in use, or not armed yet
         for i in np.flatnonzero(used).tolist():
             name, own = INPUTS[i], u[:, i]
             if quick and (publishers := _interleaved(name, own)) is not None:
@@ -333,17 +334,16 @@ class Plausibility:
 
 
 def _gravity_left(times: FloatArray, rates: FloatArray, force: FloatArray) -> float:
-    """Mean specific force, in g, turned back by the gyro to the attitude at the start.
+    """Return the magnitude, in g, of the mean specific force, rotated to the initial attitude.
 
-    Each tick holds for the time since the one before; a gap counts as one tick, in which the
-    aircraft did not turn.
+    The rates of a tick hold for the time since the previous one. A gap counts as one tick.
     """
     steps = np.diff(times, prepend=times[0])
     usual = float(np.median(steps[1:]))
     steps = np.where(steps > 4.0 * usual, usual, steps)
     turns = _rotations(rates * steps[:, None])
     reach = 1
-    while reach < len(turns):  # products of all before, by doubling
+    while reach < len(turns):  # cumulative products, by doubling
         turns[reach:] = turns[:-reach] @ turns[reach:]
         reach *= 2
     back = np.einsum("kij,kj->i", turns, force) / len(force)
@@ -351,7 +351,7 @@ def _gravity_left(times: FloatArray, rates: FloatArray, force: FloatArray) -> fl
 
 
 def _rotations(vectors: FloatArray) -> FloatArray:
-    """Rotation matrices, shape (k, 3, 3), of rotation vectors, rad (Rodrigues)."""
+    """Return the rotation matrices, shape (k, 3, 3), of rotation vectors, rad (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.maximum(angle, 1e-12)[:, None]).T
     zero = np.zeros_like(x)
@@ -363,9 +363,9 @@ def _rotations(vectors: FloatArray) -> FloatArray:
 def _off_range(
     name: str, u: FloatArray, without_trim: FloatArray, learns_trim: bool
 ) -> Iterator[Finding]:
-    """Yield what makes a surface's deflections none: counts, a trim or an angle in degrees.
+    """Yield findings on a surface's range: pulse widths, or trim or deflections in degrees.
 
-    Where the trim is to be learned, deflections are looked at about their own middle.
+    Where the trim is to be learned, deflections are taken about their median.
     """
     size = np.abs(u)
     largest = float(size.max())
@@ -397,7 +397,7 @@ def _off_range(
 
 
 def _interleaved(name: str, u: FloatArray) -> Finding | None:
-    """Find samples that the next one takes back: two streams in turn."""
+    """Return a finding if samples of two streams alternate: each step is reversed by the next."""
     step = np.abs(u[1:] - u[:-1])
     away = np.minimum(step[:-1], step[1:])
     if np.count_nonzero(away > STEP) < RETURNING_SHARE * len(away):  # nearly always
@@ -419,13 +419,13 @@ def coefficient_finding(
     coefficients: FloatArray,
     sigma: FloatArray,
     expected: tuple[str, ...],  # Signs of control derivatives, as in ``+pdot/da``
-    sure: float = SURE,  # Standard deviations from which it counts
+    sure: float = SURE,  # Significance level, in standard deviations
     *,
-    multirotor: bool = False,  # Whether it has motors in place of surfaces, in words
+    multirotor: bool = False,  # Whether the text names motors in place of surfaces
 ) -> Finding | None:
-    """Find channels that are swapped or reversed, by what they were found to do."""
-    words = ("yaw and roll inputs", "motor") if multirotor else ("rudder and aileron", "surface")
-    both, actuator = words
+    """Return a finding if control derivatives show swapped or reversed channels."""
+    names = ("yaw and roll inputs", "motor") if multirotor else ("rudder and aileron", "surface")
+    both, actuator = names
     for entry in expected:
         sign, index = entry[0], structure.index(entry[1:])
         value, spread = float(coefficients[index]), float(sigma[index])
@@ -447,10 +447,10 @@ def coefficient_finding(
 def _swapped(
     structure: Structure, coefficients: FloatArray, sigma: FloatArray, sure: float
 ) -> bool:
-    """Whether a rudder rolls more than the aileron does, and does not clearly yaw more.
+    """Whether dr has the larger roll moment, and not clearly the larger yaw moment, of dr and da.
 
-    The true rudder's side force has no column under the aileron's name, so that the yaw of both
-    is told apart late, if at all.
+    With swapped channels the rudder's side force has no column, since da has none in the row of ay.
+    The yaw moments of the two are therefore separated late, if at all.
     """
 
     def exceeds(larger: str, smaller: str, sure: float) -> bool:
@@ -461,27 +461,27 @@ def _swapped(
     return exceeds("pdot/dr", "pdot/da", sure) and not exceeds("rdot/dr", "rdot/da", SURE)
 
 
-# --- what settings that are off do to the derivatives ---------------------------------------------
+# --- bias of the derivatives by wrong settings ----------------------------------------------------
 
 
 class SetupError(NamedTuple):
-    """What one setting that is off does to the moment rows."""
+    """Bias of the moment rows by one wrong setting."""
 
-    errors: FloatArray  # (3, n) By how much it falsifies each coefficient, SI
-    reason: str  # What is off, and the setting that would be right
+    errors: FloatArray  # (3, n) Magnitude of the bias of each coefficient, SI
+    reason: str  # Problem, evidence and the correct setting
 
 
 class SetupErrors:
-    """Follows which settings are off, a delay or a mounting, and what that does.
+    """Biases of the coefficients by a wrong delay, servo lag or accelerometer position.
 
-    Sigma is to cover it, and where it is much, the verdict names the setting. Without flow angles
-    nothing is found, since every gust looks like a late input.
+    Sigma is increased by them; where they are large, the verdict names the setting. Structures
+    without flow angles are not checked, since any gust resembles a late input.
     """
 
     def __init__(
         self,
         structure: Structure,
-        airspeed: float,  # At which the coefficients hold, m/s
+        airspeed: float,  # Reference airspeed of the coefficients, m/s
     ) -> None:
         self._structure, self._airspeed = structure, airspeed
         self._found: list[SetupError] = []
@@ -489,32 +489,32 @@ class SetupErrors:
     def look(
         self,
         values: FloatArray,  # (R, n) Coefficients
-        estimate: DelayEstimate,  # What the flight says about the delay
-        delay: float,  # In use, s
-        lag: float,  # Of the servos, in use, s
-        # Share of each input, (4,), that the lag takes away for which the delay may stand
+        estimate: DelayEstimate,  # Estimated delay
+        delay: float,  # Delay in use, s
+        lag: float,  # Servo lag in use, s
+        # Share of each input, (4,), that the lag hidden in the delay attenuates
         lost: Callable[[], FloatArray],
-        height: float,  # Of the accelerometer above where it is said to be, m; 0 for none
+        height: float,  # Of the accelerometer above its configured position, m; 0 for none
         *,
         lag_is_told: bool,  # Whether it is known, or a found delay may stand for another
-        # How much too long inputs are held that come seldom, s
+        # Mean time for which a held input is too old, s
         held: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        """Look at what the flight shows by now."""
+        """Update the biases with the present estimates."""
         self._found = []
         if not self._structure.has_flow:
             return
         late = max(abs(estimate.off(delay)), estimate.excess(lag))
         if late:
             reason = estimate.contradiction(delay, held())
-            self._found.append(SetupError(self._late(values, late), reason))
+            self._found.append(SetupError(self._delay_error(values, late), reason))
         elif estimate.sure and (estimate.from_injected or not lag_is_told):
             self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
         if height:
             self._found.append(self._height_error(values, height))
 
     def widened(self, sigma: FloatArray) -> FloatArray:
-        """Return standard deviations (R, n) that cover it; 0 where a coefficient is fixed."""
+        """Return standard deviations (R, n) that include the biases; 0 if fixed."""
         sigma = sigma.copy()
         moments = sigma[: len(ROWS)]
         for found in self._found:
@@ -522,7 +522,7 @@ class SetupErrors:
         return sigma
 
     def denied(self, values: FloatArray, t_ratio: float) -> list[str]:
-        """Return for each moment row what falsifies it by more than 1 in `t_ratio`, if any."""
+        """Return for each moment row the reason of a bias above 1 / `t_ratio`; empty if none."""
         reasons = [""] * len(ROWS)
         for found in self._found:
             far = t_ratio * found.errors[MAIN_DERIVATIVES] > np.abs(values[MAIN_DERIVATIVES])
@@ -533,46 +533,46 @@ class SetupErrors:
     def _lag_error(
         self, values: FloatArray, estimate: DelayEstimate, in_use: float, lost: FloatArray
     ) -> SetupError:
-        """Return what a servo lag does that the delay stands for, with their sum `in_use`, s.
+        """Return the bias by a servo lag T that is modelled as delay; `in_use` is their sum, s.
 
-        The delay makes the input as late. What the lag T takes from it stays: ``1 / (1 + a T)``
-        where damping makes up for it, else what is `lost` of the input. Where what is injected has
-        told the sum of delay and lag, only what that in use misses of it counts to first order:
-        a lag and as much of delay differ by ``(a T)^2 / 2``.
+        The delay has the same phase, but not the attenuation of the lag: ``1 / (1 + a T)`` where
+        damping compensates for it, else the share `lost` of the input. If an injected signal has
+        determined the sum of delay and lag, lag and delay differ by ``(a T)^2 / 2`` only. The error
+        of the sum in use then adds a term of first order.
         """
-        hidden, settles = estimate.hidden, self._settles(values)
-        share, missed, cure = np.abs(hidden * settles), 0.0, "or excite the aircraft (~/excite)"
+        hidden, damped = estimate.hidden, self._damping(values)
+        share, missed, cure = np.abs(hidden * damped), 0.0, "or excite the aircraft (~/excite)"
         if estimate.from_injected:
             share, cure = 0.5 * share**2, "or go on with the excitation"
             missed = estimate.total - in_use
         errors = share[:, None] * np.abs(values[: len(ROWS)])
         inputs = errors[:, INPUT_COLUMNS]
         np.maximum(inputs, lost * np.abs(values[: len(ROWS), INPUT_COLUMNS]), out=inputs)
-        errors += self._late(values, missed)
+        errors += self._delay_error(values, missed)
         return SetupError(
             errors,
             f"delay and servo lag are not separated: {1e3 * hidden:.0f} ms of the delay found may "
             f"be lag; set 'actuators.time_constant', {cure}",
         )
 
-    def _late(self, values: FloatArray, time: float) -> FloatArray:
-        """By how much an input that comes so late, s, falsifies the moment rows, (3, n).
+    def _delay_error(self, values: FloatArray, time: float) -> FloatArray:
+        """Return the bias of the moment rows, (3, n), by an input that is late by a time, s.
 
-        Before an axis that settles with a, an input that comes T later than told looks like one of
-        an effect of 1 / (1 + a T): to first order the row is off by ``a T``.
+        On an axis with the damping a, an input that is late by T has the apparent effect
+        1 / (1 + a T): to first order the relative bias is ``a T``.
         """
-        share = np.abs(time * self._settles(values))
+        share = np.abs(time * self._damping(values))
         return np.asarray(share[:, None] * np.abs(values[: len(ROWS)]))
 
-    def _settles(self, values: FloatArray) -> FloatArray:
-        """How fast each axis settles, 1/s, (3,)."""
+    def _damping(self, values: FloatArray) -> FloatArray:
+        """Return the damping of each axis, 1/s, (3,)."""
         return damping(self._structure, values, self._airspeed)
 
     def _height_error(self, values: FloatArray, height: float) -> SetupError:
-        """Return what an accelerometer does that is higher, m, than `imu.lever_arm` says.
+        """Return the bias by an accelerometer at a height h, m, above `imu.lever_arm`.
 
-        It measures ``ay + h pdot``. A row that takes sideslip from ay, with
-        ``L = L_beta / Y_beta``, is off by ``L h`` times the row of pdot.
+        It measures ``ay + h pdot``. A row that derives sideslip from ay, with
+        ``L = L_beta / Y_beta``, has the bias ``L h`` times the row of pdot.
         """
         flow = self._structure.flow[0]
         slope = values[: len(ROWS), flow.angle] / values[flow.force, flow.angle]
