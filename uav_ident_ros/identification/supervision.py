@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the coefficients may move, and how far to trust them: one plain verdict."""
+"""Supervision: the weights of the rows, and the verdict on the coefficients."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from uav_ident_ros.identification.structure import (
 )
 
 JUDGED_FROM = MEMORY
-"""Time of learning from which a cold start is judged, s. Lag, delay and saturation that nobody told
-have shown by then: after 10 to 28 s on two aircraft (benchmarks/false_usable.py, unmodelled), since
+"""Learning time before the verdict of a cold start, s. By then unmodelled lag, delay and saturation
+are detected: after 10 to 28 s on two aircraft (benchmarks/false_usable.py, unmodelled).
 `ModelError` needs more blocks of a second than the eleven coefficients that it solves for."""
 
 AXES = ("p", "q", "r")
 
 
 class State(StrEnum):
-    """What the identifier is doing, in a word."""
+    """State of the identifier."""
 
     WAITING = "waiting"
     LEARNING = "learning"
@@ -45,63 +45,62 @@ class State(StrEnum):
 
 
 Verdict = tuple[str, str, str]
-"""For each of pdot, qdot, rdot why a controller may not act on it, in a sentence; empty where it
-may."""
+"""Reason why a controller may not use the row, for pdot, qdot, rdot; empty where it is usable."""
 
 
 class Change(NamedTuple):
-    """A coefficient that was found changed in flight, or told wrong."""
+    """A coefficient that changed in flight, or whose initial value the flight contradicts."""
 
     name: str  # ``pdot/da`` and so on
     prior_rejected: bool
-    t: float  # When it was noticed, s of message time
+    t: float  # Message time of its detection, s
     sigma: float  # Its standard deviation before
 
 
 class Supervisor:
-    """Decides whether to learn, and gives the verdict on what was learned."""
+    """Gates, weights of the rows, and the verdict on the coefficients."""
 
     def __init__(
         self,
         settings: Settings,
         structure: Structure,
-        more: Sequence[Gate] = (),  # Gates of one's own
+        more: Sequence[Gate] = (),  # Additional gates
     ) -> None:
-        self.settings = settings  # The parameter; it may change between ticks
+        self.settings = settings  # May be replaced between ticks
         self.adapt = settings.adapt_on_start  # Whether learning is switched on
-        self.armed: bool | None = None  # Whether the motors are; None if nothing was heard of it
+        self.armed: bool | None = None  # Whether the motors are; None if no message has arrived
         self._structure = structure
         self.gates = Gates(more)
         self.reset()
 
     def reset(self) -> None:
-        """Forget what is usual, and everything that was found."""
-        # The changes found in flight, and what was told wrong, the oldest first
+        """Discard residual statistics, detected changes and confirmations."""
+        # Coefficients changed in flight or with a contradicted initial value, oldest first
         self.changed: list[Change] = []
         self._relearning: dict[tuple[int, int], Change] = {}
         self._residuals = ResidualGate()
         self._within: BoolArray = np.ones(3, dtype=bool)
         self._learned: BoolArray = np.ones(3, dtype=bool)
-        self.confirmed = Confirmation()  # Of control derivatives, by the flight
+        self.confirmed = Confirmation()  # Of the main control derivatives, by the flight
         self._sigma: FloatArray = np.full(self._structure.mask.shape, np.inf)
         self.proven = False  # Whether all rows have been usable since the start
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new stretch of signals; what was found stays."""
+        """Begin a new stretch of signals; the results stay."""
         self.gates.restart()
 
     def weigh(
         self,
         residual: FloatArray,  # (m, 3) Of the samples of a tick, rad/s^2
-        time: float,  # Time that they stand for, s
-        clear: BoolArray,  # (3,) Rows in which the inputs stand out from all else that moves it
+        time: float,  # Time that they cover, s
+        clear: BoolArray,  # (3,) Rows in which the effect of the inputs exceeds the disturbance
     ) -> FloatArray:
-        """Return how much the samples of a tick count in each row, shape (3,), 0 ... 1."""
+        """Return the weight of the samples of a tick in each row, shape (3,), 0 ... 1."""
         limit = self.settings.supervision.max_residual
         weight = self._residuals.weigh(residual, time, limit, clear)
         if not self.proven:
-            weight = np.ones(3)  # what was never good must be free to change at once
+            weight = np.ones(3)  # coefficients that were never usable must converge freely
         self._within = weight > 0.0
         return weight
 
@@ -111,7 +110,7 @@ class Supervisor:
         return self._learned & (not self.gates.closed)
 
     def follow(self, t: float, estimator: Estimator, ticks: int) -> None:
-        """Take note of what the estimator made of a stretch of some ticks that ends at `t` s."""
+        """Record learning rows and detected changes of an update over some ticks, up to `t` s."""
         self._learned = estimator.learning
         within, learned_rows = self._within.tolist(), self._learned.tolist()
         quiet = sum(w and not row for w, row in zip(within, learned_rows, strict=True))
@@ -127,7 +126,7 @@ class Supervisor:
             self.confirmed.forget(i)
 
     def pauses(self) -> dict[str, str]:
-        """Return why each row that does not learn pauses: row to reason."""
+        """Return the reason to pause of each row that does not learn, by row."""
         if self.gates.closed:
             return dict.fromkeys(ROWS, self.gates.closed)
         return {
@@ -142,16 +141,16 @@ class Supervisor:
         coefficients: FloatArray,  # (R, n)
         sigma: FloatArray,  # (R, n)
         running: RunningFit,
-        # (3,) What the main inputs do otherwise than the model says, relative to their effect
+        # (3,) Unmodelled response to each main input, relative to the effect of that input
         model_error: FloatArray,
-        denied: Sequence[str],  # What speaks against each row beforehand; empty if nothing does
+        denied: Sequence[str],  # Reason against each row by wrong settings; empty if none
         learned_time: float,  # Since a cold start, s; inf after a warm one
     ) -> Verdict:
-        """Give the verdict on the coefficients, row by row.
+        """Return the verdict on the coefficients, row by row.
 
-        Usable is a row that predicts the next second clearly better than holding the rate does, of
-        late and over the flight, whose main control derivative is known well, and was confirmed by
-        what its input did not long ago.
+        A row is usable if it predicts the next second clearly better than holding the rate does,
+        both recently and over the flight. Its main control derivative must have a small sigma, and
+        must have been confirmed recently by the motion of its input.
         """
         self._sigma = sigma
         young = "" if running.predictions else "no prediction of one second is complete yet"
@@ -164,11 +163,11 @@ class Supervisor:
         for (i, j), change in list(self._relearning.items()):
             known = settings.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
             known = known or sigma[i, j] <= change.sigma
-            # sigma is small sooner, but from the samples by which the change was chosen
+            # sigma is small before that, but from the samples that selected the change
             if known and t - change.t > WINDOW_TIME:
                 del self._relearning[i, j]
             else:
-                why = "is not what was told" if change.prior_rejected else "changed in flight"
+                why = "contradicts its prior" if change.prior_rejected else "changed in flight"
                 relearning[i] = f"{change.name} {why} and is learned anew"
         first, second, third = (
             relearning.get(i)
@@ -185,7 +184,7 @@ class Supervisor:
         return first, second, third
 
     def state(self, verdict: Verdict) -> tuple[State, str]:
-        """Return the state word, and why it is not learning or not usable."""
+        """Return the state, and the reason why it is not learning or not usable."""
         if self.gates.closed:
             return State.PAUSED, self.gates.closed
         reason = "; ".join(dict.fromkeys(filter(None, verdict)))
@@ -196,7 +195,7 @@ class Supervisor:
 
 
 def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str:
-    """Return how an axis is predicted too badly; empty if it is not."""
+    """Return the reason against an axis by its prediction fit; empty if there is none."""
     for when, fit, hold in (
         ("of late", running.fit.item(i), running.hold.item(i)),
         ("over the flight", running.flight_fit.item(i), running.flight_hold.item(i)),
@@ -211,7 +210,7 @@ def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str
 
 
 def _unknown_input(settings: SupervisionSettings, row: int, value: float, sigma: float) -> str:
-    """Return how the main control derivative of a row is not known; empty if it is."""
+    """Return the reason against a row if its main control derivative is unknown; else empty."""
     ratio = abs(value) / sigma if sigma > 0.0 else (np.inf if value else 0.0)
     needed, name, move = settings.min_t_ratio, ROWS[row], MAIN_INPUTS[ROWS[row]]
     if ratio >= needed:
@@ -220,12 +219,12 @@ def _unknown_input(settings: SupervisionSettings, row: int, value: float, sigma:
 
 
 def _incomplete(row: int, share: float, t_ratio: float) -> str:
-    """Return how the model of a row misses what its input does; empty if it does not.
+    """Return the reason against a row if its model error is too large; else empty.
 
-    A share of 1 in `t_ratio` may come late, early, or stop short, as much as chance and wrong
-    settings may falsify. At the default, 4, servo lags, delays and limits of travel that halve a
-    control derivative take 0.33 to 0.9, a delay of 25 ms up to 0.2, and what is right nothing; a
-    lag of 0.1 s that is told and not there 0.4 and more.
+    The error is the share of the input's effect that is late, early or missing. The limit is
+    1 / `t_ratio`, as for sigma and for the bias by wrong settings: 0.25 by default. Lags, delays
+    and limits of travel that halve a control derivative give 0.33 to 0.9, a delay of 25 ms up to
+    0.2, a configured lag of 0.1 s that does not exist 0.4 and more, correct settings 0.
     """
     if share * t_ratio <= 1.0:
         return ""
