@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one declaration of every setting.
+"""Declaration of every setting.
 
 The ROS parameters and their descriptors, the validation, the replay's options and the table
-in the documentation are all read from the dataclasses below.
+in the documentation are all generated from the dataclasses below.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ class Setting:
     type: str  # ``bool``, ``int``, ``float``, ``str``, ``float[]``, ``str[]`` or ``int[]|str[]``
     default: Value
     unit: str  # Physical; empty for a pure number or a word
-    description: str  # One or two sentences: what it is and when to change it
+    description: str  # One or two sentences: its meaning, and when to change it
     # Inclusive range of a number or of every entry of an array
     low: float = -math.inf
     high: float = math.inf
     choices: tuple[str, ...] = ()  # Allowed words; empty if any is
     read_only: bool = True  # Whether it cannot change while the identifier runs
-    # Whether, when it changes, the filters restart and what was learned so far is trusted as after
-    # a warm start: it was learned from signals that were made otherwise
+    # Whether a change restarts the filters and increases sigma as at a warm start, because the
+    # signals were conditioned differently before
     restarts: bool = False
 
     @property
@@ -79,7 +79,7 @@ class Setting:
             raise SettingsError(f"'{self.name}' is {value!r}: allowed is {self.allowed()}")
 
     def allowed(self) -> str:
-        """Describe the allowed values in words, with the unit."""
+        """Return a text of the allowed values, with the unit."""
         if self.choices:
             return ", ".join(self.choices)
         if "str" in self.type or self.type == "bool":
@@ -94,7 +94,7 @@ class Setting:
 
 
 def _is(kind: type, value: object) -> bool:
-    """Whether a value is of a type: True is no whole number, and a float must be finite."""
+    """Whether a value is of a type: a bool is not an int, and a float must be finite."""
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
         return False
     return not isinstance(value, float) or math.isfinite(value)
@@ -105,7 +105,7 @@ def _are(kind: type, value: object) -> bool:
 
 
 def _are_channels(value: object) -> bool:
-    """Whether a value is names, or indices from 0 on."""
+    """Whether a value is a tuple of names, or of indices from 0 on."""
     indices = _are(int, value) and min(typing.cast(tuple[int, ...], value), default=-1) >= 0
     return bool(value) and (_are(str, value) or indices)
 
@@ -122,7 +122,7 @@ _KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
     "str[]": (partial(_are, str), "write a list of words"),
     "int[]|str[]": (_are_channels, "write a list of indices from 0, or a list of names"),
 }
-"""Of each type of a setting: whether a value is of it, and what to write if not."""
+"""For each type of a setting: its test, and the advice if a value fails it."""
 
 _TYPES: dict[object, str] = {
     bool: "bool",
@@ -145,18 +145,18 @@ def _setting(
     read_only: bool = True,
     restarts: bool = False,
 ) -> Any:
-    """Declare one setting as a dataclass field, which gives it its name and type."""
+    """Declare one setting as a dataclass field; the field supplies name and type."""
     fixed = read_only and not restarts
     own = Setting("", "", default, unit, text, *within, tuple(choices), fixed, restarts)
     return dataclasses.field(default=default, metadata={"setting": own})
 
 
 LARGEST_NUMBER = 1e6
-"""Magnitude beyond which a coefficient in SI units is nonsense, and so is a channel: radians,
-fractions, PWM microseconds and motor speeds all stay below."""
+"""Largest plausible magnitude of a coefficient in SI units, and of a channel: radians, fractions,
+PWM microseconds and motor speeds are all smaller."""
 
 MAX_DELAY = 0.5
-"""Longest transport delay that is looked back for, s."""
+"""Longest transport delay that the sample buffers cover, s."""
 
 RATE_TYPES = (
     "sensor_msgs/msg/Imu",
@@ -197,12 +197,12 @@ NO_FILE = "none"
 
 
 # fmt: off
-# One table: default, unit, range; what it is and when to change it.
+# One table: default, unit, range; meaning, and when to change it.
 
 
 @dataclass(frozen=True)
 class ImuSettings:
-    """What the rates are measured in."""
+    """Type, axes and position of the Imu."""
 
     type: str = _setting("sensor_msgs/msg/Imu", choices=RATE_TYPES, text=
         "Message type of the rates topic. Set it to what the topic carries.")
@@ -236,7 +236,7 @@ class MixingSettings:
 
 @dataclass(frozen=True)
 class ActuatorSettings:
-    """What the actuator channels mean and when they act."""
+    """Actuator channels: meaning, units, limits and timing."""
 
     type: str = _setting("std_msgs/msg/Float64MultiArray", choices=ACTUATOR_TYPES, text=
         "Message type of the actuator topic. Set it to what the topic carries.")
@@ -279,11 +279,11 @@ class ActuatorSettings:
         "('linear', for logged surface positions).")
     lower_limit: tuple[float, ...] = _setting((), text=
         "Raw value of each channel at its lower limit, N values. Learning pauses there, because "
-        "the surface need not follow. Empty: no limits. Set it to keep wild values out of the "
-        "estimate.")
+        "the surface may not follow. Empty: no limits. Set it if commands can exceed the travel of"
+        " a surface.")
     upper_limit: tuple[float, ...] = _setting((), text=
         "Raw value of each channel at its upper limit, N values, as 'actuators.lower_limit'. "
-        "Empty: no limits. Set it to keep wild values out of the estimate.")
+        "Empty: no limits. Set it if commands can exceed the travel of a surface.")
     timeout: float = _setting(0.5, "s", (0.01, 60.0), text=
         "Age at which the last channel values expire and learning waits for new ones. At a steady"
         " rate they expire sooner, after five intervals or 0.1 s. Raise it for publishers that "
@@ -360,7 +360,7 @@ class AirspeedSettings:
 
 @dataclass(frozen=True)
 class ArmedSettings:
-    """Whether the motors are armed: on the ground there is nothing to learn."""
+    """Armed state of the motors: the identifier learns in flight only."""
 
     type: str = _setting("", choices=("", *ARMED_TYPES), text=
         "Message type of the armed topic; empty for none. With one, coefficients move only while "
@@ -372,7 +372,7 @@ EXCITATION_FORMS = ("multisine", "3211", "doublet", "probe")
 
 @dataclass(frozen=True)
 class ExcitationSettings:
-    """Programmed test inputs, which ``~/excite`` asks the controller to add."""
+    """Programmed test inputs, which the controller adds after a call of ``~/excite``."""
 
     form: str = _setting("multisine", choices=EXCITATION_FORMS, read_only=False, text=
         "Test input: 'multisine' moves all inputs at once, each at frequencies of its own; '3211'"
@@ -409,7 +409,7 @@ class ExcitationSettings:
 
 @dataclass(frozen=True)
 class SupervisionSettings:
-    """When a controller may act on the coefficients."""
+    """Conditions for learning, and for a usable verdict."""
 
     min_fit: float = _setting(-20.0, "%", (-100.0, 100.0), read_only=False, text=
         "Lowest usable fit of free 1-second predictions, on every axis; the fit must also beat "
@@ -418,12 +418,12 @@ class SupervisionSettings:
         "Value over sigma that the main control derivative of a usable row needs. Raise it for a "
         "controller that needs more certainty.")
     max_age: float = _setting(5.0, "s", (0.0, 1e6), read_only=False, text=
-        "Time after which a control derivative is unconfirmed, unless the motion of its surface "
-        "confirms it; where surfaces are excited in turns, the time after the next turn is due. 0 "
-        "for never. Raise it for long cruises in one condition.")
+        "Time after which a control derivative is unconfirmed if its surface does not move. If "
+        "surfaces are excited in turns, it begins when the next turn is due. 0 for never. Raise it"
+        " for long cruises in one condition.")
     min_excitation: float = _setting(0.25, "", (0.0, 1.0), read_only=False, text=
         "Variance of an input, relative to its mean variance while learning, below which the "
-        "input is quiet. A row whose inputs are all quiet learns less, the quieter they are. 0 "
+        "input is quiet. If all inputs of a row are quiet, the weight of the row is reduced. 0 "
         "switches this off. Lower it if gentle manoeuvres are not learned from.")
     min_motion: float = _setting(0.04, "rad/s", (0.0, 1.0), read_only=False, text=
         "Swing of the rates over 2 s below which the aircraft may be at rest: learning pauses if "
@@ -441,11 +441,11 @@ class SupervisionSettings:
         "deg/s; see the sensor's data sheet.")
     stuck_time: float = _setting(0.25, "s", (0.0, 60.0), read_only=False, text=
         "Time for which a signal of the Imu may repeat one value before it is stuck and learning "
-        "pauses; 0 for ever. A coarsely rounded signal may repeat one value for as long as it did"
+        "pauses; 0 for never. A coarsely rounded signal may repeat one value for as long as it did"
         " before.")
     max_residual: float = _setting(6.0, "", (0.0, 1000.0), read_only=False, text=
-        "Residual of a row, relative to its usual size, beyond which usable coefficients do not "
-        "learn from a sample; 0 for never. Lower it if knocks and landings spoil the estimate.")
+        "Residual of a row, relative to its usual size, beyond which samples are left out, once "
+        "all rows have been usable; 0 for never. Lower it if knocks or landings bias the estimate.")
     plausibility: bool = _setting(True, text=
         "Check units, axes, trim and channels against physics; learning stops while one is "
         "implausible. Switch it off for a vehicle that does not fly upright on average, like a "
@@ -457,7 +457,7 @@ class SupervisionSettings:
 
 @dataclass(frozen=True)
 class Settings:
-    """Every setting of the identifier, with its default."""
+    """All settings of the identifier, with their defaults."""
 
     update_rate: float = _setting(20.0, "Hz", (1.0, 200.0), text=
         "Rate of the updates and of the published estimates. Raise it for a controller that needs "
@@ -483,12 +483,12 @@ class Settings:
         "Initial coefficients A_m: 3n values, row-major, SI. Empty: zeros. Set them if an "
         "aircraft model is at hand.")
     initial_coefficients_file: str = _setting("", text=
-        "File of initial coefficients, as replay writes it; it wins over the values. Set it to "
-        "start the next flight from a replayed one.")
+        "File of initial coefficients, as replay writes it; it takes precedence over the values. "
+        "Set it to start the next flight from a replayed one.")
     state_file: str = _setting("", text=
-        "File in which the node keeps its coefficients between runs; it wins over the initial "
-        "ones. Empty: $ROS_HOME/uav_ident_ros/NODE.yaml; 'none': neither written nor read. Replay"
-        " does not use it. Set it for vehicles that share a node name.")
+        "File in which the node keeps its coefficients between runs; it takes precedence over the "
+        "initial ones. Empty: $ROS_HOME/uav_ident_ros/NODE.yaml; 'none': neither written nor read."
+        " Replay does not use it. Set it for vehicles that share a node name.")
     state_max_age: float = _setting(604800.0, "s", (0.0, 1e9), text=
         "Age of the state file, by the computer's clock, beyond which the node does not use it; 0 "
         "for no limit. Lower it if the aircraft is often changed between flights.")
@@ -517,7 +517,7 @@ class Settings:
 
     @classmethod
     def from_values(cls, values: Mapping[str, object]) -> Settings:
-        """Build settings from dotted names; what is not given keeps its default.
+        """Build settings from dotted names; omitted ones keep their defaults.
 
         Parameters
         ----------
@@ -547,12 +547,12 @@ class Settings:
 
 
 EXCITATION_TIMEOUT = IN_A_ROW / Settings.update_rate
-"""Time for which a value of excitation counts, s: `IN_A_ROW` ticks at the usual rate. Who stops
-saying what to inject, injects nothing."""
+"""Time for which a sample of excitation is valid, s: `IN_A_ROW` ticks at the usual rate. After it
+the excitation counts as zero."""
 
 
 def nearest(name: str, known: Collection[str]) -> str:
-    """Return the question whether the nearest of the known names was meant; empty if none is."""
+    """Return ``did you mean '...'?`` with the most similar known name; empty if none is similar."""
     near = difflib.get_close_matches(name, known, n=1)
     return f"did you mean '{near[0]}'?" if near else ""
 
@@ -574,7 +574,7 @@ def _declarations(cls: type, prefix: str) -> Iterator[Setting]:
 
 
 def _with(group: Any, path: Sequence[str], value: Value) -> Any:
-    """Return settings with another value at a path of attributes."""
+    """Return a copy of the settings with `value` at a path of attributes."""
     name, *rest = path
     return replace(group, **{name: _with(getattr(group, name), rest, value) if rest else value})
 
@@ -612,7 +612,7 @@ def _check_lengths(settings: Settings) -> None:
 
 
 def _check_consistency(settings: Settings) -> None:
-    """Check what no single setting can: lengths, and combinations that mean nothing."""
+    """Check the settings against each other: lengths, and combinations without meaning."""
     _check_lengths(settings)
     structure = STRUCTURES[settings.structure]
     for name in settings.fixed_coefficients:
