@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Attitude, sideslip and angle of attack from the Imu alone: no vanes, no driver's orientation.
+"""Observer of attitude, sideslip and angle of attack from rates and specific forces alone.
 
 Attitude: a complementary filter on the direction of gravity, ``gdot = -(omega + k m x g) x g``
 with ``m`` the direction of the centripetal acceleration ``V x omega`` less the specific force
 (Mahony, Hamel and Pflimlin 2008). Flow angles: their kinematics with the measured rates and forces,
-pulled to the angle at which the force rows give the measured force.
+corrected towards the angle at which the force rows give the measured force.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ from uav_ident_ros.identification.structure import (
 )
 
 ATTITUDE_GAIN = 0.3
-"""Gain of the correction by the accelerometer, 1/s: the gyro drifts less than a degree in the
-3 s that it leaves to it, and a turn's unmodelled acceleration seldom lasts so long."""
+"""Gain of the correction by the accelerometer, 1/s. In its time constant of 3 s the gyro drifts by
+less than a degree; an unmodelled acceleration in a turn seldom lasts so long."""
 
 GRAVITY_BAND = 0.3
-"""Difference of the corrected specific force from gravity, relative, at which it no longer tells
-where down is; less difference, more weight."""
+"""Relative difference of the corrected specific force from gravity at which the correction has no
+weight; the weight grows linearly as the difference falls."""
 
 _ROLL, _BIAS = RATE_COLUMNS.start, CONSTANT_COLUMN
 
 Vector = tuple[float, float, float]
 Force = tuple[list[tuple[int, float]], float]
-"""What makes a force: entries of a sample with their coefficients, and the slope by the angle."""
+"""A force row: entries of a sample with their coefficients, and the slope by the flow angle."""
 
 
 class FlowState(NamedTuple):
-    """Attitude, flow angles and airspeed at a tick: the rest of the model's state.
+    """Attitude, flow angles and airspeed at a tick: the model's state beside the rates.
 
     Parameters
     ----------
     beta, alpha : float
-        Sideslip and angle of attack, rad, from where ay and az vanish.
+        Sideslip and angle of attack, rad; zero where ay and az are zero.
     beta_sigma, alpha_sigma : float
-        Their standard deviations, rad: those of the slopes of the forces.
+        Their standard deviations, rad, by those of the slopes of the forces.
     roll, pitch : float
         Attitude, rad.
     airspeed : float
-        True airspeed, m/s; the reference where none is measured.
+        True airspeed, m/s; the reference if none is measured.
     """
 
     beta: float
@@ -70,16 +70,14 @@ class FlowState(NamedTuple):
 
 
 class FlowObserver:
-    """Follows attitude and flow angles, block by block."""
+    """Observer of attitude and flow angles, block by block."""
 
     def __init__(
         self,
         structure: Structure,  # One with flow angles
-        # Of the regression's low-pass, rad/s: the flow angles follow the force so fast, and no
-        # faster
+        # Bandwidth of the correction of the flow angles by the forces, rad/s: the regression's
         cutoff: float,
-        # Airspeed where none is measured, or where it does not fly, m/s: nothing may be divided by
-        # one that goes to zero
+        # Airspeed if none is measured, or if it is too low, m/s: it is a divisor
         reference: float,
     ) -> None:
         self._rate = cutoff
@@ -100,7 +98,7 @@ class FlowObserver:
         return atan2(y, z), asin(min(max(-x, -1.0), 1.0))
 
     def state(self, coefficients: FloatArray, sigma: FloatArray) -> FlowState:
-        """Return the state at the newest edge; with coefficients and sigma of shape (7, n)."""
+        """Return the state at the newest edge; coefficients and sigma have the shape (7, n)."""
         roll, pitch = self.attitude
         beta, alpha = self.angles
         beta_share, alpha_share = [
@@ -120,10 +118,10 @@ class FlowObserver:
     def follow(
         self,
         block: Block,  # Measured signals over m cells
-        coefficients: FloatArray,  # (7, n) A_m; its force rows turn forces into angles
-        airspeed: float | None,  # True, m/s; None where none is measured
+        coefficients: FloatArray,  # (7, n) A_m; its force rows convert forces to angles
+        airspeed: float | None,  # True, m/s; None if none is measured
     ) -> FlowSignals:
-        """Follow attitude and flow angles through a block."""
+        """Observe attitude and flow angles over a block."""
         v = self._reference
         if airspeed is not None and airspeed > v / LARGEST_RATIO:
             v = airspeed
@@ -145,7 +143,7 @@ class FlowObserver:
             m, weight = _gravity(force, rates, v)
             self._turn(dt, rates, m, ATTITUDE_GAIN * weight)
             measured = _measured_angles(sample, forces)
-            # Exactly for signals that are constant over the step
+            # Exact for signals that are constant over the step
             (p, q, r), (beta, alpha), keep = rates, self.angles, exp(-self._rate * dt)
             for k, turning in ((0, p * alpha - r), (1, q - p * beta)):
                 by_p, bias = missing[k]
@@ -156,14 +154,14 @@ class FlowObserver:
         return FlowSignals(np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1), v)
 
     def _restart(self, sample: list[float], forces: list[Force], v: float) -> None:
-        """Begin where the first sample says that down and the flow are."""
+        """Initialise attitude and flow angles from the first sample."""
         direction, weight = _gravity(sample[-3:], sample[:3], v)
         if weight > 0.0:
             self.down = direction
         self.angles = _measured_angles(sample, forces)
 
     def _turn(self, dt: float, rates: list[float], m: Vector, gain: float) -> None:
-        """Turn the direction of gravity with the aircraft, and towards `m`."""
+        """Rotate the direction of gravity with the aircraft, and correct it towards `m`."""
         (p, q, r), (mx, my, mz), (gx, gy, gz), (bx, by, bz) = rates, m, self.down, self._bias
         ex, ey, ez = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
         integral = 0.25 * ATTITUDE_GAIN * gain * dt  # critically damped
@@ -177,7 +175,7 @@ class FlowObserver:
 
 
 def _measured_angles(sample: list[float], forces: list[Force]) -> list[float]:
-    """Flow angles at which the force rows give the measured forces, rad."""
+    """Return the flow angles at which the force rows give the measured forces, rad."""
     measured = []
     for (others, slope), force in zip(forces, sample[-2:], strict=True):
         for k, coefficient in others:
@@ -188,7 +186,7 @@ def _measured_angles(sample: list[float], forces: list[Force]) -> list[float]:
 
 
 def _gravity(force: list[float], rates: list[float], v: float) -> tuple[Vector, float]:
-    """Direction of gravity that a sample tells, and how far it is to be believed, 0 ... 1."""
+    """Return the direction of gravity by one sample, and its weight, 0 ... 1."""
     m = (-force[0], rates[2] * v - force[1], -rates[1] * v - force[2])
     size = (m[0] * m[0] + m[1] * m[1] + m[2] * m[2]) ** 0.5
     if size == 0.0:

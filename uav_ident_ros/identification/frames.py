@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the Imu's axes to the aircraft's body axes, and the lever arm."""
+"""Rotation from the Imu's axes to the body axes, and effects of the lever arm."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """Rotation matrix Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3), angles in rad."""
+    """Return the rotation matrix Rz(yaw) Ry(pitch) Rx(roll), shape (3, 3), angles in rad."""
     cr, sr = np.cos(roll), np.sin(roll)
     cp, sp = np.cos(pitch), np.sin(pitch)
     cy, sy = np.cos(yaw), np.sin(yaw)
@@ -26,24 +26,24 @@ def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
 
 
 class BodyFrame:
-    """Turns vectors between the Imu's own axes and the body axes FRD."""
+    """Rotation of vectors between the Imu's own axes and the body axes FRD."""
 
     def __init__(self, settings: ImuSettings) -> None:
         convention = _FLU_TO_FRD if settings.convention == "flu" else np.eye(3)
         self._to_body: FloatArray = rotation(*settings.rpy) @ convention
 
     def to_body(self, vectors: FloatArray) -> FloatArray:
-        """Vectors of shape (..., 3) from the Imu's axes into FRD."""
+        """Rotate vectors of shape (..., 3) from the Imu's axes to FRD."""
         flat = vectors.reshape(-1, 3) @ self._to_body.T  # one product for all of them
         return np.asarray(flat.reshape(vectors.shape))
 
     def to_imu(self, vectors: FloatArray) -> FloatArray:
-        """Vectors of shape (..., 3) from FRD into the Imu's axes."""
+        """Rotate vectors of shape (..., 3) from FRD to the Imu's axes."""
         return np.asarray(vectors @ self._to_body)
 
 
 def lever_arm_matrix(arm: FloatArray) -> FloatArray:
-    """Matrix L with ``(omega_dot x arm)_{y,z} = L omega_dot``, shape (2, 3), m."""
+    """Return the matrix L with ``(omega_dot x arm)_{y,z} = L omega_dot``, shape (2, 3), m."""
     x, y, z = arm
     return np.array([[-z, 0.0, x], [y, -x, 0.0]])
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The model ``xdot = A f(x, u)``: its right-hand side, its integrator, and one run of it in flight.
+"""The model ``xdot = A f(x, u)``: its right-hand side, its integrator, and its run in flight.
 
-Instruments, running fit, score, client and simulated plants all integrate what stands here. The
-right-hand side is plain arithmetic, so that it takes numbers (one model, several times faster than
-arrays of three) as well as arrays (thousands of prediction windows side by side).
+Instruments, running fit, score, client and simulated plants all integrate this right-hand side. It
+is plain arithmetic, which serves floats (one model, several times faster than arrays of three) as
+well as arrays (thousands of prediction windows in parallel).
 
-With sideslip and angle of attack as states, with V the airspeed, g gravity and d the unit vector
+With sideslip and angle of attack as states, V is the airspeed, g gravity and d the unit vector
 that points down, in body axes (``d = [-sin theta, sin phi cos theta, cos phi cos theta]``)::
 
     ay       = A_ay f,  az = A_az f
@@ -14,7 +14,7 @@ that points down, in body axes (``d = [-sin theta, sin phi cos theta, cos phi co
     ddot     = d x [p q r]
 
 (Stevens, Lewis and Johnson, Aircraft Control and Simulation, 2016, ch. 2, to first order in both
-angles: a roll turns the one into the other.)
+angles: a roll about the x axis turns one into the other.)
 """
 
 from __future__ import annotations
@@ -45,29 +45,29 @@ GRAVITY = 9.80665
 """Standard acceleration of gravity, m/s^2."""
 
 LARGEST_RATE = 30.0
-"""Rate beyond which the model's state has diverged, rad/s: no aircraft here turns faster."""
+"""Rate beyond which the model's state has diverged, rad/s: no known aircraft turns faster."""
 
 LARGEST_ANGLE = 0.5 * math.pi
 """Sideslip or angle of attack beyond which the state has diverged, rad."""
 
 _ACROSS = np.repeat([0, 1, 2], 4), np.array([2, 3, 4, 6, 0, 1, 5, 7, 2, 3, 4, 6])
-"""Coefficients that a body has none of that is symmetric about its xz plane."""
+"""Coefficients that are zero for a body symmetric about its xz plane."""
 
 Number = Any
 """A float, or an array of one value per trajectory."""
 
 State = list[Number]
 Derivative = Callable[..., State]
-"""Rate of change from a state, what drives it and, where it is to be that of a state further on, by
-how much in which direction: ``derivative(state, drive, slope, ahead)``."""
+"""Right-hand side ``derivative(state, drive, slope, ahead)``: rate of change at the state
+``state + ahead * slope``; `drive` is its part that does not depend on the state."""
 
 Step = tuple[Any, Any, Any, Number]
 
 
 def integrate(
     derivative: Derivative,
-    state: State,  # Where to start: floats or (W,) arrays
-    # What drives it at the beginning, in the middle and at the end of each, and the length, s
+    state: State,  # Initial state: floats or (W,) arrays
+    # For each step the drive at its beginning, middle and end, and its length, s
     steps: Iterable[Step],
 ) -> Iterator[State]:
     """Yield the state after each step, by the classical Runge-Kutta method of order 4."""
@@ -85,13 +85,13 @@ def integrate(
 
 
 def rates_derivative(
-    a: FloatArray,  # (3, n) or (3, n, W) Coefficients; of the inputs' and later columns none counts
+    a: FloatArray,  # (3, n) or (3, n, W) Coefficients; columns from the inputs on are not used
     leak: float = 0.0,  # One over the leak's time constant, 1/s
 ) -> Derivative:
     """Return the right-hand side for the state p, q, r.
 
-    Its drive is the part of pdot, qdot, rdot that does not depend on the state: inputs, forces, and
-    what the leak pulls towards.
+    The drive is the part of pdot, qdot, rdot by inputs and forces, and the leak times the measured
+    state.
     """
     moments = _moments(a, leak)
 
@@ -108,7 +108,7 @@ def rates_derivative(
 
 
 def _moments(a: FloatArray, leak: float) -> Callable[..., tuple[Number, Number, Number]]:
-    """Return the part of pdot, qdot, rdot that p, q, r make, as a function of these."""
+    """Return the part of pdot, qdot, rdot by the rates, as a function of p, q, r."""
     first, second, third = _entries(a[:3, STATE_COLUMNS])
     a1, a2, a3, a4, a5, a6, a7, a8 = first
     b1, b2, b3, b4, b5, b6, b7, b8 = second
@@ -143,8 +143,8 @@ def flight_derivative(
 ) -> Derivative:
     """Return the right-hand side for the state p, q, r, beta, alpha, d_x, d_y, d_z.
 
-    Its drive: the parts of the seven rows that do not depend on the state, 1/V (s/m), and what is
-    added to the rate of change of d.
+    The drive holds the parts of the seven rows that do not depend on the state, 1/V (s/m), and the
+    terms added to the rate of change of d.
     """
     rows, moments = _entries(a), _moments(a, leak)
     beta_column, alpha_column = range(LAST_COLUMNS.start, LAST_COLUMNS.stop)
@@ -182,17 +182,17 @@ def flight_derivative(
 
 
 def _entries(a: FloatArray) -> list[Any]:
-    """Rows of coefficients: floats of one model, (W,) arrays of many."""
+    """Return rows of coefficients: floats of one model, (W,) arrays of many."""
     return a.tolist() if a.ndim == 2 else [list(row) for row in a]
 
 
 def bounded(states: FloatArray) -> FloatArray:
-    """Return states that a number can hold: a divergent one, or none at all, at the bound."""
+    """Return states limited to `LARGEST_RATE`; NaN becomes a bound."""
     return np.asarray(np.fmin(np.fmax(states, -LARGEST_RATE), LARGEST_RATE))
 
 
 def diverged(state: Sequence[float]) -> bool:
-    """Whether a state is beyond what an aircraft does; NaN is."""
+    """Whether a state is outside the range of an aircraft; NaN is."""
     for k, value in enumerate(state[:5]):
         if not abs(value) < (LARGEST_RATE if k < 3 else LARGEST_ANGLE):
             return True
@@ -202,8 +202,8 @@ def diverged(state: Sequence[float]) -> bool:
 def with_measured_force(coefficients: FloatArray, structure: Structure) -> FloatArray:
     """Return the moment rows with ay and az in the place of beta and alpha, shape (..., 3, n).
 
-    ``beta = (ay - Y_p p - Y_r r - Y_dr dr) / Y_beta`` put into the rows, and alpha likewise: what a
-    structure with flow angles says where the forces are measured. Others are returned as they are.
+    ``beta = (ay - Y_p p - Y_r r - Y_dr dr) / Y_beta`` is substituted into the rows, and alpha
+    likewise. Coefficients of other structures are returned unchanged.
     """
     if not structure.has_flow:
         return coefficients
@@ -221,7 +221,7 @@ def off_centre(
     coefficients: FloatArray,  # (..., 3, n) A, with ay and az as its last regressors
     lever: FloatArray,  # (2, 3) L, m: see `lever_arm_matrix`
 ) -> FloatArray:
-    """Coefficients for specific forces as measured by an offset accelerometer, (..., 3, n).
+    """Return coefficients for forces measured by an offset accelerometer, (..., 3, n).
 
     With ``f = f_cg + L xdot`` the model ``xdot = A f_cg(...)`` is
     ``xdot = (I + A_f L)^-1 A f``, where A_f are the columns of ay and az.
@@ -231,7 +231,7 @@ def off_centre(
 
 
 class IdentifiedModel:
-    """State of the identified model, run beside the aircraft (eq. (3))."""
+    """The identified model, which runs in parallel with the aircraft (eq. (3))."""
 
     def __init__(
         self,
@@ -242,16 +242,16 @@ class IdentifiedModel:
         self._lever = lever_arm_matrix(lever_arm)
         self._offset = bool(lever_arm.any()) and structure.has_forces
         self._form = flight_derivative if structure.has_flow else rates_derivative
-        self._formed: tuple[bytes, float] | None = None  # What the right-hand side was made of
+        self._formed: tuple[bytes, float] | None = None  # Coefficients and leak of `_derivative`
         # xm: predicted p, q, r, rad/s, FRD; with flow angles beta, alpha, rad, and down as well
         self.state: FloatArray = np.zeros(8 if structure.has_flow else 3)
-        self.resets = 0  # How often it diverged and was set back to what was measured
+        self.resets = 0  # Number of resets to the measured state after a divergence
 
     def run(
         self,
         coefficients: FloatArray,  # (R, n) A_m
         block: Block,  # Measured signals over m cells
-        leak_time: float = 0.0,  # Of the pull towards the measured state, s; 0 for none
+        leak_time: float = 0.0,  # Time constant of the leak to the measured state, s; 0 for none
     ) -> FloatArray:
         """Advance the state over a block; return it at the edges, (m + 1, 3 or 8)."""
         if block.restarted:
@@ -266,7 +266,7 @@ class IdentifiedModel:
     def respond(self, coefficients: FloatArray, block: Block, leak_time: float) -> FloatArray:
         """Advance the response to the injected part of the inputs alone; parameters as in `run`.
 
-        It starts at rest, without gravity and constants: what feedback and gusts do is not in it.
+        It starts at rest, without gravity, constants, feedback or gusts.
         """
         assert block.excitation is not None
         coefficients = coefficients.copy()
@@ -296,7 +296,7 @@ class IdentifiedModel:
             drive[:, :3] += pull[:, :3]
             drive[:, 5:7] += pull[:, 3:5]
             drive[:, 8:] += pull[:, 5:]
-        # The coefficients stay for some ticks.
+        # The coefficients are constant over some ticks.
         formed = a.tobytes(), leak
         if formed != self._formed:
             self._formed, self._derivative = formed, self._form(a, leak)
@@ -306,7 +306,7 @@ class IdentifiedModel:
         states = [first, *integrate(self._derivative, first, steps)]
         coarse = np.array(states[::split])
         if diverged(states[-1]):
-            # Diverged is diverged: what lies between infinite states would be no number.
+            # Interpolation between infinite states would give NaN.
             coarse = bounded(coarse)
         return np.asarray(plan.lines @ coarse)
 
@@ -319,7 +319,7 @@ class IdentifiedModel:
         dt: float,
         leak_time: float,
     ) -> None:
-        """Advance by one explicit Euler step of `dt` s, as the paper does, with its inputs."""
+        """Advance by one explicit Euler step of `dt` s, as in the paper."""
         f = self._structure.regressor(self.state, u, force)
         a = off_centre(coefficients, self._lever) if self._offset else coefficients
         state = self.state + dt * (a @ f)
@@ -331,7 +331,7 @@ class IdentifiedModel:
         self.state = state
 
     def _drive(self, a: FloatArray, block: Block, plan: Steps) -> FloatArray:
-        """Part of the model that does not depend on the state, a row for each step."""
+        """Return the part of the model that does not depend on the state, a row for each step."""
         u = plan.cell_means @ block.u
         if block.flow is not None:
             drive = np.zeros((len(u), 11))
@@ -346,19 +346,19 @@ class IdentifiedModel:
 
 
 class Steps(NamedTuple):
-    """s integration steps over the m cells of a block."""
+    """The s integration steps over the m cells of a block."""
 
     times: list[float]  # Lengths of the steps, s
-    split: int  # Into how many a step is split where a cell is longer than `STEP`
-    cell_means: FloatArray  # (s, m) Takes values of the cells to their means over the steps
-    means: FloatArray  # (s, m + 1) The same for straight lines between values at the cells' edges
-    # (m + 1, s + 1) Straight lines through values at the edges of the steps, at those of the cells
+    split: int  # Number of substeps of a step, for cells longer than `STEP`
+    cell_means: FloatArray  # (s, m) From values of the cells to means over the steps
+    means: FloatArray  # (s, m + 1) From values at the cells' edges to means over the steps
+    # (m + 1, s + 1) From values at the steps' edges to linear interpolation at the cells' edges
     lines: FloatArray
 
 
 @lru_cache(maxsize=64)
 def plan_steps(m: int, h: float) -> Steps:
-    """Return the steps over `m` cells of `h` s; shorter ones are joined, longer ones are cut."""
+    """Return the steps over `m` cells of `h` s: short cells are joined, long ones are split."""
     stride = max(1, round(STEP / h))
     begin = np.arange(0, m, stride)
     cells = np.minimum(stride, m - begin)

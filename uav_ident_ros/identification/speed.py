@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed scaling: coefficients that hold across flight speeds.
 
-At constant lift coefficients a damping derivative grows with the airspeed V and a control
-derivative with V^2 (dynamic pressure times the angle that the rate makes, or the deflection), and
-so does a constant moment: it is what an input does that is away from its trim.
-The estimator sees regressors scaled by V / V_ref and its square, so that it identifies the
-coefficients at the reference speed; what is published is valid at the speed flown.
+With constant aerodynamic coefficients, moments grow with the dynamic pressure, thus with V^2 of the
+airspeed V. So do control derivatives, and a constant moment, which is that of an input off its
+trim. Damping grows with V, since the flow angle that a rate causes falls with V. The estimator uses
+regressors scaled by V / V_ref and its square, and thus identifies the coefficients at V_ref.
+Published coefficients hold at the speed flown.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from uav_ident_ros.identification.structure import (
 )
 
 LARGEST_RATIO = 3.0
-"""Airspeed relative to the reference, and its inverse, beyond which the law is not believed:
-below it flow separates, above it something else is wrong."""
+"""Largest ratio of airspeed and reference, or its inverse, at which the scaling holds: at lower
+speed the flow separates, at higher speed the measurement is wrong."""
 
 
 def slowest(settings: AirspeedSettings) -> float:
-    """Return the airspeed, m/s, below which the law is not believed."""
+    """Return the lowest airspeed at which the scaling holds, m/s."""
     return settings.reference / LARGEST_RATIO
 
 
 def unmeasured(settings: Settings) -> str:
-    """Return what is wrong where nobody has told how fast the aircraft flies; empty if one has."""
+    """Return the problem if the airspeed is neither measured nor configured; else empty."""
     airspeed, default = settings.airspeed, AirspeedSettings().reference
     needed = STRUCTURES[settings.structure].has_flow
     if airspeed.type or airspeed.reference != default or not needed:
@@ -60,14 +60,14 @@ class SpeedScaling:
         self._power[: len(ROWS)][structure.constants[: len(ROWS)]] = 2.0
         if structure.has_flow:
             self._power[:, LAST_COLUMNS] = 2.0
-            # so that the product with the slope of ay grows as p does in the other rows
+            # so that its product with the slope of ay grows with V, as the other columns of p
             self._power[structure.row_labels.index("betadot"), RATE_COLUMNS] = -1.0
-        self.known = not self.enabled  # Whether the scale is that of the airspeed flown
+        self.known = not self.enabled  # Whether the scale holds at the airspeed flown
         self.scale: FloatArray = np.ones_like(self._power)  # (R, n) Factor of each coefficient
         self.newest: float | None = None  # m/s
 
     def update(self, t_ns: int) -> None:
-        """Take the newest airspeed in use at `t_ns`."""
+        """Update the scale with the newest airspeed in use at `t_ns`."""
         if self.enabled and len(self.airspeed.t):
             self.newest = float(self.airspeed.v[-1, 0])
             ratio = self.newest / self._reference

@@ -4,9 +4,9 @@
 The model is ``xdot = A f(x, u)`` (eq. (2) of Salman et al. 2006) with the state
 ``x = [p q r]`` in rad/s, body axes forward-right-down (FRD), and the inputs
 ``u = [de dr da dth]``, deviations from trim. `flight_dynamics` adds sideslip and angle of attack:
-rows of A for the specific forces ay and az, and for what the kinematics of both angles miss.
+rows of A for the specific forces ay and az, and for corrections to the kinematics of both angles.
 
-This module alone knows the order of rows and columns; everybody else asks by name.
+The order of rows and columns is defined here alone; other modules use the labels.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ FORCE_ROWS = ("ay", "az")
 """Force rows: specific forces along y and z, m/s^2."""
 
 KINEMATIC_ROWS = ("betadot", "alphadot")
-"""What the kinematics of sideslip and angle of attack miss, rad/s: biases of the sensors, and in
-sideslip what a roll makes of the angle of attack that the wing has without lift."""
+"""Corrections to the kinematics of sideslip and angle of attack, rad/s: sensor biases, and in
+sideslip the term p alpha_0 by the angle of attack alpha_0 at zero az."""
 
 INPUTS = ("de", "dr", "da", "dth")
 """Input labels, in the order of f(x, u): elevator, rudder, aileron, throttle."""
 
 MAIN_INPUTS = {"pdot": "da", "qdot": "de", "rdot": "dr"}
-"""The input that each moment row is controlled by."""
+"""Main input of each moment row."""
 
 RATE_PRODUCTS = ("pq", "qr", "pr", "pp", "rr")
 RATES = ("p", "q", "r")
@@ -49,7 +49,7 @@ PAPER_REGRESSORS = RATE_PRODUCTS + RATES + INPUTS
 AUGMENTED_REGRESSORS = (*PAPER_REGRESSORS, CONSTANT, *SPECIFIC_FORCES)
 FLIGHT_REGRESSORS = (*PAPER_REGRESSORS, CONSTANT, *FLOW_ANGLES)
 
-# Columns of f that every structure shares, in this order.
+# Columns of f common to all structures, in this order.
 PRODUCT_COLUMNS = slice(0, 5)
 RATE_COLUMNS = slice(5, 8)
 INPUT_COLUMNS = slice(8, 12)
@@ -71,7 +71,7 @@ EXOGENOUS_COLUMNS = slice(INPUT_COLUMNS.start, None)
 """Inputs and, in the augmented structure, the constant and the specific forces."""
 
 FLOW_FORCES = tuple(zip(FLOW_ANGLES, FORCE_ROWS, KINEMATIC_ROWS, strict=True))
-"""Which force each flow angle makes, and the row of its kinematics."""
+"""Each flow angle, the force that it causes, and the row of its kinematics."""
 
 _FIRST_FACTOR = np.array([RATES.index(product[0]) for product in RATE_PRODUCTS])
 _SECOND_FACTOR = np.array([RATES.index(product[1]) for product in RATE_PRODUCTS])
@@ -83,20 +83,20 @@ _BASELINE_ROWS = (
 _THROTTLE_COUPLING = (("dth",), (), ("dth",))
 _AUGMENTATION = ((CONSTANT, "ay"), (CONSTANT, "az"), (CONSTANT, "ay"))
 _FLOW = ((CONSTANT, "beta"), (CONSTANT, "alpha"), (CONSTANT, "beta"))
-# The side force of a turn is as large as that of a sideslip; without it yaw damping
-# comes out a third too small. That of the tail in a pull-up is a hundredth of the lift slope, and
-# an instrument more than az/alpha needs biases it (docs/decisions.md).
+# The side force by the yaw rate is as large as that by sideslip; without it yaw damping is a third
+# too small. The tail's lift by the pitch rate is a hundredth of the lift slope: az/q is left out,
+# because its instrument would bias az/alpha (docs/decisions.md).
 _FORCES = (("p", "r", "dr", "beta"), ("de", "alpha"), ("p", CONSTANT), (CONSTANT,))
 
 
 class FlowRows(NamedTuple):
-    """Where a flow angle stands in a structure."""
+    """Rows and columns of a flow angle in a structure."""
 
-    force: int  # Row of the force that the angle makes
-    angle: int  # The angle's column
-    others: tuple[int, ...]  # Columns of what else makes that force: rates, a surface
-    kinematics: int  # Row of what the angle's kinematics miss
-    missing: tuple[int, ...]  # Its columns
+    force: int  # Row of the force that the angle causes
+    angle: int  # Column of the angle
+    others: tuple[int, ...]  # Columns of the other regressors of that force: rates, a surface
+    kinematics: int  # Row of the corrections to the angle's kinematics
+    missing: tuple[int, ...]  # Columns of these corrections
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ class Structure:
 
     @property
     def dense_rows(self) -> tuple[str, ...]:
-        """Labels of the rows that the dense message holds."""
+        """Labels of the rows in the dense message."""
         return self.row_labels[: len(ROWS) + len(FORCE_ROWS)]
 
     def column(self, label: str) -> int:
@@ -148,7 +148,7 @@ class Structure:
 
     @cached_property
     def mask(self) -> BoolArray:
-        """Free coefficients, shape (R, n)."""
+        """Mask of the free coefficients, shape (R, n)."""
         mask = np.array([[label in row for label in self.regressors] for row in self.rows])
         mask.flags.writeable = False
         return mask
@@ -167,7 +167,7 @@ class Structure:
 
     @cached_property
     def constants(self) -> BoolArray:
-        """Coefficients of the constant, shape (R, n)."""
+        """Mask of the coefficients of the constant, shape (R, n)."""
         return np.asarray(self.mask & (np.array(self.regressors) == CONSTANT))
 
     @cached_property
@@ -210,8 +210,8 @@ class Structure:
         u : (..., 4) array
             Inputs de, dr, da, dth, deviations from trim.
         last : (..., 2) array, optional
-            What the structure has as its last regressors: specific forces ay, az, m/s^2, FRD,
-            or flow angles beta, alpha, rad; zero if left out.
+            Last two regressors: specific forces ay, az, m/s^2, FRD, or flow angles beta, alpha,
+            rad, by the structure; zero if omitted.
 
         Returns
         -------
@@ -239,8 +239,8 @@ STRUCTURES = {
         Structure("baseline", PAPER_REGRESSORS, _with(_BASELINE_ROWS)),
         # Section 4, eq. (15): throttle couples into roll and yaw; 20 coefficients.
         Structure("throttle_coupled", PAPER_REGRESSORS, _with(_BASELINE_ROWS, _THROTTLE_COUPLING)),
-        # Beyond the paper: constant (trim), and the specific forces that stand for
-        # sideslip (ay) and angle of attack (az); 26 coefficients.
+        # Beyond the paper: constant (trim), and specific forces in place of sideslip (ay) and
+        # angle of attack (az); 26 coefficients.
         Structure(
             "augmented",
             AUGMENTED_REGRESSORS,
