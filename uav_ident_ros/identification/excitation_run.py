@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run of excitation: started, watched, ended; what is asked of the controller at each tick."""
+"""A run of excitation: its start, its limits, its end, and the value to inject at each tick."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from uav_ident_ros.identification.waveforms import ProgrammedInput, WaveformErro
 
 
 class Sufficiency:
-    """Follows what a run of excitation teaches, and when it will be enough.
+    """Information gained in a run of excitation, and the time until it suffices.
 
-    Under steady excitation information grows with time: 1 / sigma^2 = I_0 + k t, with what was
-    known before the run in I_0. So the run itself says when a wanted sigma will be reached.
+    Under steady excitation information grows linearly in time: 1 / sigma^2 = I_0 + k t, with the
+    information before the run in I_0. The time until a required sigma follows from it.
 
-    A coefficient is known when it, or else the largest of its kind in its row, is the wanted
-    number of sigmas: what is next to nothing need not be told from nothing. Of a kind are the
-    control derivatives of the excited inputs, the rate derivatives, and those of the flow angles.
+    A coefficient is known if its sigma is below its value over the required t-ratio. A small
+    coefficient is also known if its sigma is that small relative to the largest known one of its
+    kind in the row. The kinds: control derivatives of excited inputs, rate and flow derivatives.
     """
 
     def __init__(
         self,
         structure: Structure,
-        excited: tuple[str, ...],  # The inputs that are
-        wanted: float,  # Value over sigma
+        excited: tuple[str, ...],  # Labels of the excited inputs
+        wanted: float,  # Required t-ratio
     ) -> None:
         self._names = structure.names
         self._free = structure.free
@@ -63,25 +63,25 @@ class Sufficiency:
         self.unknown: tuple[str, ...] = ()
         """Names of the coefficients that are not known yet."""
         self.time_left = math.inf
-        """Time of excitation that the slowest of them still takes, s; inf if it cannot be told."""
+        """Time of excitation until the slowest of them is known, s; inf if it is unpredictable."""
         self.effects: dict[str, tuple[str, float, float]] = {}
-        """Of every input seen to act: its surest control derivative, value and sigma."""
+        """For each input with an effect its control derivative of largest t-ratio, value, sigma."""
 
     def update(self, t_ns: int, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Look at the estimate of a tick."""
+        """Update the state with the estimate of a tick."""
         rows, columns = np.array(self._free).T
         values, sigmas = np.abs(coefficients[rows, columns]), sigma[rows, columns]
         limits = self._limits(values, sigmas)
         unknown = sigmas > limits
         self.unknown = tuple(name for name, u in zip(self._names, unknown, strict=True) if u)
         self.time_left = self._time_left(t_ns, sigmas, limits, unknown)
-        self._see_effects(coefficients, sigma)
+        self._record_effects(coefficients, sigma)
 
     def _limits(self, values: FloatArray, sigmas: FloatArray) -> FloatArray:
-        """Sigma from which each coefficient is known; inf for those that nobody asks for."""
+        """Return the sigma below which each coefficient is known; inf for those not required."""
         limits = np.full(len(values), math.inf)
         for kind in self._kinds:
-            # only what is itself known says how large the others of its kind may be
+            # only known coefficients set the scale of the others of their kind
             sure = [k for k in kind if values[k] >= self._wanted * sigmas[k]]
             scale = max((values[k] for k in sure), default=0.0)
             for k in kind:
@@ -91,7 +91,7 @@ class Sufficiency:
     def _time_left(
         self, t_ns: int, sigmas: FloatArray, limits: FloatArray, unknown: BoolArray
     ) -> float:
-        """Seconds until the slowest of the unknown coefficients is known."""
+        """Return the time until the slowest of the unknown coefficients is known, s."""
         with np.errstate(divide="ignore"):
             information = 1.0 / np.square(sigmas)
             needed = 1.0 / np.square(limits)
@@ -106,8 +106,8 @@ class Sufficiency:
             return math.inf
         return float(((needed - information)[unknown] / gained).max() * span)
 
-    def _see_effects(self, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Note what each input is seen to do."""
+    def _record_effects(self, coefficients: FloatArray, sigma: FloatArray) -> None:
+        """Record for each input the control derivative of largest t-ratio, from `SURE` on."""
         surest: dict[str, float] = {}
         for k in self._controls:
             i, j = self._free[k]
@@ -123,11 +123,11 @@ class Sufficiency:
 
 
 ZERO_TIME_NS = round(2e9 * EXCITATION_TIMEOUT)
-"""How long zeros follow a run, ns, before it is silent: for a listener that missed the first."""
+"""Time for which zeros are sent after a run, ns, in case the first one is lost."""
 
 
 class Phase(StrEnum):
-    """What a run is doing, in a word."""
+    """Phase of a run."""
 
     IDLE = "idle"
     RUNNING = "running"
@@ -136,17 +136,17 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True)
 class Flying:
-    """What is known of the flight, to hold against the limits."""
+    """Measured flight state, which is compared with the limits of a run."""
 
     rates: FloatArray | None  # (3,) Newest measured p, q, r, rad/s; None before any
-    # roll, pitch: Attitude, rad; None if it is not known
+    # Attitude, rad; None if it is not known
     roll: float | None = None
     pitch: float | None = None
     airspeed: float | None = None  # True airspeed, m/s; None if it is not known
-    grounded: str = ""  # Why it does not fly; empty if there is no reason to think so
+    grounded: str = ""  # Reason why the aircraft is not flying; empty if none
 
     def beyond(self, limits: ExcitationSettings) -> str:
-        """Return which limit is passed, in words; empty if none is."""
+        """Return the problem if a limit is exceeded; else empty."""
         if self.rates is None:
             return "no rates are measured"
         if self.grounded:
@@ -167,30 +167,30 @@ class Flying:
 
 @dataclass(frozen=True)
 class Injection:
-    """What the controller is asked to add."""
+    """Values that the controller adds to the inputs."""
 
-    t_ns: int  # Message time from which it counts, ns
+    t_ns: int  # Message time from which they hold, ns
     values: FloatArray  # (4,) de, dr, da, dth, in the units of the inputs
 
 
 class ExcitationRun:
-    """Asks for programmed inputs while that is safe and still teaches something.
+    """Source of programmed inputs, while the flight is within limits and coefficients are unknown.
 
-    It knows no clock: `start`, `step` and `abort` are told the message time. Between two runs it
-    asks for zero for a moment, and then for nothing.
+    It has no clock: `start`, `step` and `abort` receive the message time. After a run it outputs
+    zeros for `ZERO_TIME_NS`, and then nothing.
     """
 
     def __init__(self, structure: Structure) -> None:
         self._structure = structure
         self.phase = Phase.IDLE
-        self.why = ""  # How the last run ended; empty before and during one
-        self.sufficiency: Sufficiency | None = None  # What the run, or the last one, has taught
+        self.why = ""  # Reason for the end of the last run; empty before and during one
+        self.sufficiency: Sufficiency | None = None  # Of the present or last run
         self._input: ProgrammedInput | None = None
         self._start_ns = self._now_ns = self._end_ns = self._zeros_until_ns = 0
 
     @property
     def active(self) -> bool:
-        """Whether anything but zero may be asked for."""
+        """Whether a run is going on: other values than zero may be output."""
         return self.phase is not Phase.IDLE
 
     @property
@@ -200,13 +200,13 @@ class ExcitationRun:
 
     @property
     def remaining(self) -> float:
-        """Time until the run ends by itself at the latest, s; 0 while there is none."""
+        """Time until the latest end of the run, s; 0 while there is none."""
         return self._input.duration - self.elapsed if self._input and self.active else 0.0
 
     def start(self, settings: ExcitationSettings, flying: Flying, estimate: Estimate) -> str:
-        """Begin a run after a tick, by settings that hold to its end.
+        """Begin a run after a tick, with settings that hold until its end.
 
-        Returned is why that cannot be, or an empty word.
+        Returns the reason for a refusal, or an empty string.
         """
         if self.active:
             return f"a run is going on, for {self.elapsed:.0f} s"
@@ -228,7 +228,7 @@ class ExcitationRun:
         return ""
 
     def abort(self, t_ns: int, why: str) -> Injection:
-        """End the run at once; return the zero that says so, which counts from `t_ns`."""
+        """End the run at once; return an injection of zero, which holds from `t_ns`."""
         if self.active:
             self.phase, self.why = Phase.IDLE, why
         self._now_ns = t_ns
@@ -236,7 +236,7 @@ class ExcitationRun:
         return Injection(t_ns, np.zeros(len(INPUTS)))
 
     def step(self, flying: Flying, estimate: Estimate) -> Injection | None:
-        """Return what to ask for at a tick; None where silence is right."""
+        """Return the injection requested at a tick; None if nothing is to be sent."""
         t_ns = estimate.t_ns
         if not self.active:  # zero for a moment after a run, then nothing
             done = t_ns > self._zeros_until_ns
@@ -260,7 +260,7 @@ class ExcitationRun:
         return Injection(t_ns + self._lead_ns, self._input.sample(t) * share)
 
     def _share(self, t_ns: int) -> float:
-        """Return what is left of the signal while it fades out early, 0 ... 1."""
+        """Return the factor of the signal while it fades out early, 0 ... 1."""
         if self.phase is not Phase.ENDING:
             return 1.0
         since = (t_ns - self._end_ns) * 1e-9
@@ -269,7 +269,7 @@ class ExcitationRun:
 
 
 def _problem(settings: ExcitationSettings, flying: Flying, estimate: Estimate) -> str:
-    """Return why nothing must be injected now; empty if there is no reason."""
+    """Return the reason why nothing must be injected now; empty if none."""
     if estimate.state in (State.WAITING, State.FAULT):
         return f"{estimate.state}: {estimate.reason}"
     return flying.beyond(settings)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear filters, discretised exactly and applied to a block of samples at once.
 
-A block of m cells of width h is one matrix product instead of m recursions: the outputs are
-``C A^i s + sum_j C A^(i-j) B v_j``, and both factors are computed beforehand.
+A block of m cells of width h takes one matrix product instead of m recursions: the outputs are
+``C A^i s + sum_j C A^(i-j) B v_j``, with precomputed factors.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from uav_ident_ros.identification.structure import FloatArray
 
 BLOCK = 64
-"""Cells handled in one matrix product; longer blocks are cut. A memory limit, no result
-depends on it beyond rounding."""
+"""Cells in one matrix product; longer blocks are split. It limits the memory, and does not affect
+results beyond rounding."""
 
 
 def expm(matrix: FloatArray) -> FloatArray:
-    """Matrix exponential by scaling, a Taylor series and squaring, for small matrices."""
+    """Return the exponential of a small matrix, by scaling, a Taylor series and squaring."""
     norm = float(np.abs(matrix).sum(axis=1).max())
     squarings = max(0, int(np.ceil(np.log2(norm))) + 2) if norm > 0.0 else 0
     scaled = matrix / 2.0**squarings
@@ -36,9 +36,9 @@ def expm(matrix: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class DiscreteSystem:
-    """``s+ = A s + B0 left + B1 right`` over a cell in which the input is a straight line.
+    """``s+ = A s + B0 left + B1 right`` over a cell with an input linear in time.
 
-    An input that is held over the cell has the same value at both of its ends.
+    An input that is held over the cell has the same value at both ends.
     """
 
     a: FloatArray  # (d, d) State transition over the cell
@@ -47,7 +47,7 @@ class DiscreteSystem:
 
     @classmethod
     def from_continuous(cls, a: FloatArray, b: FloatArray, h: float) -> DiscreteSystem:
-        """Discretise ``s_dot = a s + b v`` for straight-line inputs over cells of `h` s.
+        """Discretise ``s_dot = a s + b v`` for piecewise linear inputs over cells of `h` s.
 
         The exponential of the augmented matrix gives the exact solution (Van Loan 1978).
         """
@@ -65,13 +65,13 @@ def low_pass(
     cutoff: float,  # rad/s
     h: float,  # Cell width, s
 ) -> DiscreteSystem:
-    """Second-order Butterworth low-pass as ``s = [z, z_dot]``: its output and derivative."""
+    """Return a second-order Butterworth low-pass with ``s = [z, z_dot]``: output and derivative."""
     a = np.array([[0.0, 1.0], [-(cutoff**2), -np.sqrt(2.0) * cutoff]])
     return DiscreteSystem.from_continuous(a, np.array([0.0, cutoff**2]), h)
 
 
 class BlockFilter:
-    """One discrete system of d states applied to N channels, block by block."""
+    """Filter of N channels by one discrete system of d states, block by block."""
 
     def __init__(self, system: DiscreteSystem, channels: int) -> None:
         d = len(system.a)
@@ -87,7 +87,7 @@ class BlockFilter:
         self._kernels: dict[int, FloatArray] = {}
 
     def _kernel(self, m: int) -> FloatArray:
-        """Matrix from the state at the start and the inputs over `m` cells to the states."""
+        """Return the matrix from initial state and inputs over `m` cells to the states."""
         if m not in self._kernels:
             free, left, right = self._response
             d = len(free)
@@ -101,7 +101,7 @@ class BlockFilter:
 
     @staticmethod
     def _forced(powers: FloatArray, b: FloatArray) -> FloatArray:
-        """Lower-triangular Toeplitz matrices of the impulse response, shape (d, m, m)."""
+        """Return lower-triangular Toeplitz matrices of the impulse response, shape (d, m, m)."""
         impulse = powers[:-1] @ b
         d = len(b)
         forced = np.zeros((d, BLOCK, BLOCK))
@@ -111,12 +111,12 @@ class BlockFilter:
 
     def apply(
         self,
-        lines: FloatArray,  # (m + 1, N) Inputs that are straight lines between the cells' edges
+        lines: FloatArray,  # (m + 1, N) Inputs at the cells' edges, linear between them
         held: FloatArray,  # (m, N) Inputs that are constant over the cells
     ) -> FloatArray:
         """Advance over m cells, with the sum of both inputs.
 
-        Returned are the states at the right end of each cell, (d, m, N).
+        Returns the states at the right end of each cell, (d, m, N).
         """
         parts, (d, channels) = [], self.state.shape
         for start in range(0, len(held), BLOCK):

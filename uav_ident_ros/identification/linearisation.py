@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What engineers read off a model: its linearisation, its modes, their standard deviations.
+"""Linearisation of a model, and its modes with standard deviations.
 
-The state is ``[p q r beta alpha phi]``; small angles about level flight, or about the attitude
-given. Modes by the eigenvalues of the longitudinal part (q, alpha) and the lateral one (p, r, beta,
-phi); their standard deviations to first order from those of the coefficients (Etkin and Reid,
-Dynamics of Flight, 1996, ch. 6).
+The state is ``[p q r beta alpha phi]``, of small deviations from a flight condition. The modes are
+the eigenvalues of the longitudinal part (q, alpha) and the lateral part (p, r, beta, phi). Their
+standard deviations follow to first order from those of the coefficients (Etkin and Reid, Dynamics
+of Flight, 1996, ch. 6).
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class Condition:
     # Attitude, rad
     roll: float = 0.0
     pitch: float = 0.0
-    # Sideslip and angle of attack, rad, from where ay and az vanish
+    # Sideslip and angle of attack, rad; zero where ay and az are zero
     beta: float = 0.0
     alpha: float = 0.0
 
 
 def level_flight(structure: Structure, values: FloatArray, airspeed: float) -> Condition:
-    """Return steady, level flight at an airspeed, m/s, at the angle of attack that carries it."""
+    """Return steady, level flight at an airspeed, m/s, with lift equal to weight."""
     slope = float(values[structure.index("az/alpha")]) if structure.has_flow else 0.0
     return Condition(airspeed, alpha=-GRAVITY / slope if slope else 0.0)
 
@@ -65,7 +65,7 @@ def linearise(
     values : (R, n) array
         Coefficients.
     condition : Condition
-        Where; to a structure without flow angles only the rates matter.
+        Flight condition; a structure without flow angles uses only the rates.
 
     Returns
     -------
@@ -106,10 +106,10 @@ def linearise(
 
 
 def damping(structure: Structure, values: FloatArray, airspeed: float) -> FloatArray:
-    """Return how fast roll, pitch and yaw settle at an airspeed in m/s, 1/s, (3,).
+    """Return the damping of roll, pitch and yaw at an airspeed in m/s, 1/s, (3,).
 
-    With flow angles pitch and yaw settle with what alpha and beta add: of the short period and the
-    Dutch roll that is twice damping ratio times frequency.
+    With flow angles those of pitch and yaw include the damping of alpha and beta: they are twice
+    damping ratio times frequency of the short period and the Dutch roll.
     """
     settling = -np.diag(values[: len(ROWS), RATE_COLUMNS])
     for row, flow in zip((2, 1), structure.flow, strict=False):  # yaw: beta, pitch: alpha
@@ -119,10 +119,10 @@ def damping(structure: Structure, values: FloatArray, airspeed: float) -> FloatA
 
 @dataclass(frozen=True)
 class Mode:
-    """A mode of the linear model, as its eigenvalue and in the words of the field."""
+    """A mode of the linear model: name, eigenvalue, and frequency and damping or time constant."""
 
-    # ``short period``, ``dutch roll``, ``roll``, ``spiral``; ``longitudinal`` or ``lateral`` where
-    # the eigenvalues do not allow such a name
+    # ``short period``, ``dutch roll``, ``roll``, ``spiral``; ``longitudinal`` or ``lateral`` if
+    # the eigenvalues do not have this classical pattern
     name: str
     eigenvalue: complex  # 1/s; of a pair the one above the real axis
     eigenvalue_sigma: tuple[float, float]  # Of its real and imaginary part, 1/s
@@ -131,7 +131,7 @@ class Mode:
     frequency_sigma: float = math.nan
     damping: float = math.nan
     damping_sigma: float = math.nan
-    # Of a real mode, s; negative where it grows. NaN for an oscillation
+    # Time constant of a real mode, s; negative if unstable. NaN for an oscillation
     time_constant: float = math.nan
     time_constant_sigma: float = math.nan
 
@@ -162,7 +162,7 @@ def level_modes(
 ) -> list[Mode]:
     """Return the modes in level flight at an airspeed, m/s.
 
-    There are none without flow angles, and none of a model that is none yet.
+    The list is empty without flow angles, and for a model without a finite linearisation.
     """
     if not airspeed > 0.0 or not structure.has_flow:
         return []
@@ -176,7 +176,7 @@ def level_modes(
 def _spread_of(
     structure: Structure, values: FloatArray, sigma: FloatArray, condition: Condition
 ) -> FloatArray:
-    """Return the standard deviations of A, shape (6, 6), the coefficients as independent."""
+    """Return the standard deviations of A, shape (6, 6), for independent coefficients."""
     base, _ = linearise(structure, values, condition)
     variance = np.zeros_like(base)
     for index in structure.free:
@@ -187,7 +187,7 @@ def _spread_of(
 
 
 def _names(part: str, eigenvalues: list[complex]) -> list[str]:
-    """Name the modes of one part, given the eigenvalues of pairs once, fastest decay first."""
+    """Return the names of one part's modes: one eigenvalue of each pair, fastest decay first."""
     oscillating = [value.imag > 0.0 for value in eigenvalues]
     if part == "longitudinal":
         return ["short period"] if oscillating == [True] else [part] * len(eigenvalues)
@@ -198,7 +198,7 @@ def _names(part: str, eigenvalues: list[complex]) -> list[str]:
 
 
 def _mode(name: str, value: complex, slope: NDArray[np.complex128], spread: FloatArray) -> Mode:
-    """One mode, with standard deviations to first order."""
+    """Return one mode, with standard deviations to first order."""
 
     def sigma(gradient: FloatArray) -> float:
         return float(np.sqrt(((gradient * spread) ** 2).sum()))

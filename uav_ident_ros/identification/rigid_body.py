@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inertias and aerodynamic derivatives to the coefficient matrix A, and back.
+"""Coefficient matrix A from inertias and aerodynamic derivatives.
 
 The equations after (12) of Salman et al. 2006, derived from the rigid-body
 equations (9) and the moment model (11), (15).
@@ -14,7 +14,7 @@ import numpy as np
 from uav_ident_ros.identification.structure import RATE_COLUMNS, FloatArray, Structure
 
 FIRST_MOMENT_COLUMN = RATE_COLUMNS.start
-"""Columns from here on multiply moment derivatives; those before it, inertia ratios."""
+"""First column of the moment derivatives; the columns before it are inertia ratios."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Inertia:
 
 
 def product_coefficients(inertia: Inertia) -> FloatArray:
-    """Coefficients of pq, qr, pr, p^2, r^2, shape (3, 5): A11 ... A32 after (12)."""
+    """Return the coefficients of pq, qr, pr, p^2, r^2, shape (3, 5): A11 ... A32 after (12)."""
     ix, iy, iz, ixz = inertia.ix, inertia.iy, inertia.iz, inertia.ixz
     det = ix * iz - ixz**2
     a = np.zeros((3, 5))
@@ -71,14 +71,14 @@ def coefficients_from_physics(
 
 
 def full_moments(structure: Structure, **derivatives: float) -> FloatArray:
-    """Moment derivatives by name, as the (3, n - 5) array of `coefficients_from_physics`.
+    """Return moment derivatives as the (3, n - 5) array of `coefficients_from_physics`.
 
     A name is ``l_p``, ``m_de``, ``n_dr``: the moment (l, m, n), then the regressor; N m per unit.
 
     Raises
     ------
     ValueError
-        If a name is no derivative of the structure.
+        If a name is not a derivative of the structure.
     """
     labels = structure.regressors[FIRST_MOMENT_COLUMN:]
     moments = np.zeros((3, len(labels)))

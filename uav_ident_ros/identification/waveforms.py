@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes of test inputs, peak one: orthogonal multisines, 3-2-1-1, doublets.
+"""Test inputs of peak one: orthogonal multisines, 3-2-1-1, doublets.
 
 Multisines after E. A. Morelli, "Flight test experiment design for system identification
-from limited input amplitude", 2003: every input has its own harmonics of one period, so that
-over a period the inputs are orthogonal, with phases that keep the peak low.
+from limited input amplitude", 2003: every input has its own harmonics of a common period. The
+inputs are thus orthogonal over a period. Optimised phases keep the peak low.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ PEAK_SAMPLES_PER_CYCLE = 32
 """Samples per cycle of the highest harmonic when the peak of a multisine is measured."""
 
 CLIPPING_ITERATIONS = 300
-"""Steps of the peak optimisation: half as many leave the peak up to 5 % higher, twice as many bring
-it down by 4 % at most (27 multisines of three bands)."""
+"""Steps of the peak optimisation: with half as many the peak is up to 5 % higher, with twice as
+many at most 4 % lower (27 multisines of three bands)."""
 
 CLIPPING_RESTARTS = 6
 """Random starts of the peak optimisation, of which the best is kept."""
@@ -39,7 +39,7 @@ PULSES: dict[str, tuple[tuple[float, float], ...]] = {
 
 
 class WaveformError(ValueError):
-    """A shape is not possible; the message names what and why."""
+    """A shape is not possible; the message names it and the reason."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Multisine:
     """Sum of harmonics of one period with optimised phases, peak amplitude one."""
 
     period: float  # Common period of all harmonics, s
-    harmonics: tuple[int, ...]  # Multiples of 1 / period that are present, with equal power
+    harmonics: tuple[int, ...]  # Frequencies as multiples of 1 / period, with equal power
     phases: FloatArray  # (k,) Their phases, rad
     peak: float  # Peak of the sum of unit cosines, by which `sample` divides
 
@@ -59,7 +59,7 @@ class Multisine:
 
 
 def _period(harmonics: Sequence[int], phases: FloatArray) -> FloatArray:
-    """One period of the sum of unit cosines, by inverse FFT."""
+    """Return one period of the sum of unit cosines, by inverse FFT."""
     count = 1 << math.ceil(math.log2(PEAK_SAMPLES_PER_CYCLE * max(harmonics)))
     spectrum = np.zeros(count // 2 + 1, dtype=np.complex128)
     spectrum[list(harmonics)] = 0.5 * count * np.exp(1j * phases)
@@ -67,7 +67,7 @@ def _period(harmonics: Sequence[int], phases: FloatArray) -> FloatArray:
 
 
 def _low_peak_phases(harmonics: Sequence[int], rng: np.random.Generator) -> FloatArray:
-    """Phases with a low peak: clip in time, keep the phases, repeat (Van der Ouderaa 1988)."""
+    """Return phases with a low peak, by repeated clipping in time (Van der Ouderaa 1988)."""
     index = list(harmonics)
     best, best_spread = np.zeros(len(index)), np.inf
     for _ in range(CLIPPING_RESTARTS):
@@ -90,7 +90,7 @@ def multisine(
 ) -> Multisine:
     """Design a multisine with a low relative peak factor that starts at zero.
 
-    The phases from which the optimisation starts are those of a seed.
+    The seed selects the initial phases of the optimisation.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def multisine(
         )
     phases = _low_peak_phases(harmonics, np.random.default_rng(seed))
     signal = _period(harmonics, phases)
-    # Shifting all harmonics by one time leaves the shape: start at an upward zero crossing.
+    # A time shift of all harmonics keeps the shape: begin at an upward zero crossing.
     crossing = int(np.flatnonzero((signal <= 0.0) & (np.roll(signal, -1) > 0.0))[0])
     fraction = signal[crossing] / (signal[crossing] - np.roll(signal, -1)[crossing])
     shift = 2.0 * np.pi * (crossing + fraction) / len(signal)
@@ -115,7 +115,7 @@ def multisine(
 def disjoint_harmonics(
     count: int, period: float, band: tuple[float, float]
 ) -> tuple[tuple[int, ...], ...]:
-    """Deal the harmonics of a band, Hz, out to `count` inputs in turn.
+    """Distribute the harmonics of a band, Hz, over `count` inputs in turn.
 
     Raises
     ------
@@ -136,26 +136,26 @@ def disjoint_harmonics(
 def multisines(
     t: FloatArray, count: int, period: float, band: tuple[float, float], seed: int = 0
 ) -> FloatArray:
-    """Orthogonal multisines of `count` inputs at times t (s), shape (len(t), count)."""
+    """Return orthogonal multisines of `count` inputs at times t (s), shape (len(t), count)."""
     own = enumerate(disjoint_harmonics(count, period, band))
     return np.stack([multisine(period, h, seed + i).sample(t) for i, h in own], axis=1)
 
 
 def turn_time(shape: str, unit: float, pause: float) -> float:
-    """Time that one input's pulses and the pause after them take, s."""
+    """Return the duration of one input's pulses and the pause after them, s."""
     return unit * sum(length for length, _ in PULSES[shape]) + pause
 
 
 def pulses(
     t: FloatArray,  # (k,) Times from the start, s
-    count: int,  # Of inputs
+    count: int,  # Number of inputs
     shape: str,  # ``3211`` or ``doublet``
     unit: float,  # Length of the shortest pulse, s
     pause: float,  # Quiet time after each input's turn, s
 ) -> FloatArray:
-    """Pulses of `count` inputs that take turns, for ever, shape (len(t), count)."""
+    """Return pulses of `count` inputs in turn, repeated without end, shape (len(t), count)."""
     turn = turn_time(shape, unit, pause)
-    # A hair of tolerance, so that a pulse begins at the sample that it is due at.
+    # The tolerance covers rounding: a pulse begins at the sample at its edge.
     local = np.mod(t + 1e-9, count * turn)
     u = np.zeros((len(t), count))
     for i in range(count):
@@ -174,11 +174,11 @@ LOWEST_CYCLES = 2.0
 """Cycles of the lowest frequency in the period of the multisines (Morelli 2003)."""
 
 DOUBLET_PEAK = 0.371
-"""Frequency, relative to one over the length of its pulses, at which a doublet's spectrum is
-highest: the maximum of sin(pi x)^2 / x. The pulses are as long as puts it in mid-band."""
+"""Frequency of the maximum of a doublet's spectrum, times the length of its pulses: the maximum of
+sin(pi x)^2 / x. The length of the pulses places it in mid-band."""
 
 PAUSE_UNITS = 2.0 * sum(length for length, _ in PULSES["doublet"])
-"""Quiet time after each input's pulses, in units: twice a doublet, for the response to fade."""
+"""Quiet time after each input's pulses, in units: twice a doublet, in which the response decays."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ class ProgrammedInput:
     settings: ExcitationSettings  # Form, amplitudes, band, duration and fade
 
     def __post_init__(self) -> None:
-        self._shapes(np.zeros(1))  # designed here, so that nothing is slow in flight
+        self._shapes(np.zeros(1))  # the slow design is cached here, before the run
 
     @property
     def excited(self) -> BoolArray:
@@ -208,14 +208,14 @@ class ProgrammedInput:
 
     @property
     def period(self) -> float:
-        """Time after which every input has had its share, s: a period, or a turn of all."""
+        """Common period of the multisines, or duration of one turn of all inputs, s."""
         if self.settings.form == "multisine":
             return LOWEST_CYCLES / self.settings.band[0]
         return int(self.excited.sum()) * turn_time(*self._turn)
 
     @property
     def duration(self) -> float:
-        """Length of the run, s: a probe goes round once, pulses an whole number of times."""
+        """Length of the run, s: one period of a probe, a whole number of periods of pulses."""
         if self.settings.form == "probe":
             return self.period
         if self.settings.form == "multisine":
@@ -234,13 +234,13 @@ class ProgrammedInput:
 
     @property
     def _turn(self) -> tuple[str, float, float]:
-        """Shape, shortest pulse and pause, s, where inputs take turns."""
+        """Shape, shortest pulse and pause, s, of inputs in turn."""
         form, (low, high) = self.settings.form, self.settings.band
         unit = DOUBLET_PEAK / math.sqrt(low * high)
         return "doublet" if form == "probe" else form, unit, PAUSE_UNITS * unit
 
     def _shapes(self, t: FloatArray) -> FloatArray:
-        """Shapes, peak one, of the excited inputs, (len(t), count)."""
+        """Return the signals of the excited inputs, of peak one, (len(t), count)."""
         count = int(self.excited.sum())
         if self.settings.form == "multisine":
             low, high = self.settings.band
