@@ -123,7 +123,7 @@ class Doubt(NamedTuple):
 
 
 class Plausibility:
-    """Checks the signals for wrong units, axes, trim and channels."""
+    """Checks of the signals for wrong units, axes, trim and channels."""
 
     def __init__(self, settings: Settings) -> None:
         self._imu = settings.imu
@@ -296,7 +296,7 @@ class Plausibility:
     def _gyro_units(
         self, times: FloatArray, rates: FloatArray, force: FloatArray
     ) -> Finding | None:
-        """Return a finding if gravity is constant with rates in deg/s only; any axes."""
+        """Return a finding if gravity is constant only for rates read as deg/s; any axes."""
         speed = float(np.mean(np.linalg.norm(rates, axis=1)))
         if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < SMALLEST_MEAN_RATE:
             return None
@@ -497,7 +497,7 @@ class SetupErrors:
         height: float,  # Of the accelerometer above its configured position, m; 0 for none
         *,
         lag_is_told: bool,  # Whether it is known, or a found delay may stand for another
-        # Mean time for which a held input is too old, s
+        # Mean age of a held input, s
         held: Callable[[], float] = lambda: 0.0,
     ) -> None:
         """Update the biases with the present estimates."""
@@ -535,7 +535,7 @@ class SetupErrors:
     ) -> SetupError:
         """Return the bias by a servo lag T that is modelled as delay; `in_use` is their sum, s.
 
-        The delay has the same phase, but not the attenuation of the lag: ``1 / (1 + a T)`` where
+        A delay has the phase of the lag, but not its attenuation: ``1 / (1 + a T)`` where
         damping compensates for it, else the share `lost` of the input. If an injected signal has
         determined the sum of delay and lag, lag and delay differ by ``(a T)^2 / 2`` only. The error
         of the sum in use then adds a term of first order.

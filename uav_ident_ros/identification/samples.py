@@ -181,7 +181,7 @@ STEP_NS = round(STEP / NS)
 
 
 class ClockSteps:
-    """Detects and removes steps of a stream's clock against that of the rates.
+    """Detection and removal of steps of a stream's clock against that of the rates.
 
     A clock that is set by the network or an autopilot's time synchronisation steps once. Its stamps
     then skip or repeat some time, while those of the rates continue. Estimates hold for the clock

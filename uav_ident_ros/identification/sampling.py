@@ -249,7 +249,7 @@ class Sampler:
         self.injected.clear()
         self.h_ns: int | None = None
         self._lags: tuple[ServoLag, ServoLag] | None = None  # Of the inputs and their injected part
-        self._stale_ns = self._timeout_ns  # latest age at which an input counts as lost
+        self._stale_ns = self._timeout_ns  # last computed `_stale_age`
         self._edge_ns: int | None = None
         self._continues = False
         self.waiting_for = "rates"
