@@ -401,10 +401,10 @@ def test_sigma_covers_what_a_lag_takes_from_an_input_where_nothing_damps() -> No
     values[rudder] = -9.0
     sure = DelayEstimate(delay=0.1, sigma=0.01, rise=9.0, hidden=0.1)
     lost, setup = np.array([0.0, 0.3, 0.0, 0.0]), SetupErrors(structure, 20.0)
-    setup.look(values, sure, 0.1, 0.0, lambda: lost, 0.0, lag_is_told=False)
+    setup.look(values, sure, 0.1, 0.0, lambda: lost, 0.0, lag_is_configured=False)
     assert setup.widened(np.full(values.shape, 0.1))[rudder] == pytest.approx(2.7, rel=0.01)
     assert "servo lag are not separated" in setup.denied(values, 4.0)[2]
-    setup.look(values, sure, 0.1, 0.0, lambda: lost, 0.0, lag_is_told=True)
+    setup.look(values, sure, 0.1, 0.0, lambda: lost, 0.0, lag_is_configured=True)
     assert setup.widened(np.full(values.shape, 0.1))[rudder] == 0.1
 
 
@@ -417,7 +417,7 @@ def test_where_the_sum_is_told_a_lag_counts_to_second_order() -> None:
     for total, missed in ((0.03, 0.0), (0.05, 0.02), (0.01, -0.02)):
         setup = SetupErrors(structure, 20.0)
         estimate = replace(told, total=total)
-        setup.look(values, estimate, 0.03, 0.0, lambda: np.zeros(4), 0.0, lag_is_told=False)
+        setup.look(values, estimate, 0.03, 0.0, lambda: np.zeros(4), 0.0, lag_is_configured=False)
         share = damping * abs(missed) + 0.5 * (damping * told.hidden) ** 2
         widened = setup.widened(np.full(values.shape, 1e-6))[rudder]
         assert widened == pytest.approx(9.0 * share, rel=1e-3)
@@ -444,7 +444,7 @@ def test_inputs_that_act_before_they_are_given_deny_the_lag_in_use(
     values, roll, lag = np.zeros((5, structure.size)), structure.index("pdot/da"), 0.06
     values[roll], values[structure.index("pdot/p")] = 60.0, -10.0
     estimate, setup = DelayEstimate(delay, 0.01, rise=9.0), SetupErrors(structure, 20.0)
-    setup.look(values, estimate, 0.0, lag, lambda: np.zeros(4), 0.0, lag_is_told=True)
+    setup.look(values, estimate, 0.0, lag, lambda: np.zeros(4), 0.0, lag_is_configured=True)
     assert ("lower 'actuators.time_constant'" in setup.denied(values, 4.0)[0]) == denied
     widened = setup.widened(np.full(values.shape, 1e-6))[roll]
     assert widened > 60.0 * 10.0 * abs(delay) if denied else widened < 0.1 * 60.0

@@ -518,9 +518,9 @@ class OnlineIdentifier:
         fresh.add(samples, np.ones(3))
         if fresh.time < JUDGED_FROM:
             return
-        told = known_inputs(fresh.estimator, self.settings.supervision.min_t_ratio).any()
+        identified = known_inputs(fresh.estimator, self.settings.supervision.min_t_ratio).any()
         # A wrong setting makes derivatives unknown, for the fresh estimator as well.
-        if told and not any(self.setup_doubts):
+        if identified and not any(self.setup_doubts):
             # Results from the time before belong to another state of the aircraft.
             self.estimator, self._noise = fresh.estimator, fresh.noise
             self._learned_time = fresh.time
@@ -642,7 +642,7 @@ class OnlineIdentifier:
             self.lag,
             self.delays.lost,
             estimator.height,
-            lag_is_told=self.lag > 0.0 or not self.settings.actuators.estimate_delay,
+            lag_is_configured=self.lag > 0.0 or not self.settings.actuators.estimate_delay,
             held=self.sampler.hold_delay,
         )
 

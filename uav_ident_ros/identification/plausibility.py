@@ -496,7 +496,7 @@ class SetupErrors:
         lost: Callable[[], FloatArray],
         height: float,  # Of the accelerometer above its configured position, m; 0 for none
         *,
-        lag_is_told: bool,  # Whether it is known, or a found delay may stand for another
+        lag_is_configured: bool,  # If not, the delay found may stand for another lag
         # Mean age of a held input, s
         held: Callable[[], float] = lambda: 0.0,
     ) -> None:
@@ -508,7 +508,7 @@ class SetupErrors:
         if late:
             reason = estimate.contradiction(delay, held())
             self._found.append(SetupError(self._delay_error(values, late), reason))
-        elif estimate.sure and (estimate.from_injected or not lag_is_told):
+        elif estimate.sure and (estimate.from_injected or not lag_is_configured):
             self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
         if height:
             self._found.append(self._height_error(values, height))
