@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A linear aircraft for controllers to fly, and the messages of an identifier about it."""
+"""A linear aircraft for closed-loop tests of controllers, and messages with its coefficients."""
 
 from collections.abc import Callable, Sequence
 
@@ -27,29 +27,29 @@ VALUES = {
 
 
 def coefficients(effect: FloatArray | float = 1.0, t_ns: int = START) -> Coefficients:
-    """Coefficients whose inputs (de, dr, da, dth) have so much of their effect."""
+    """Coefficients with control derivatives (de, dr, da, dth) times `effect`."""
     values = matrix(STRUCTURE, VALUES)
     values[:, INPUT_COLUMNS] *= effect
     return Coefficients(STRUCTURE, values, 0.02 * np.abs(values), flow=FLOW, t_ns=t_ns)
 
 
 def controller(
-    law: Law = IncrementalLaw, speed: float = 1.0, told: int = DELAY_STEPS, **options: bool
+    law: Law = IncrementalLaw, speed: float = 1.0, delay_setting: int = DELAY_STEPS, **options: bool
 ) -> tuple[RateController, CoefficientSource]:
-    """Return a controller with the healthy set as its nominal one, and what feeds it.
+    """Return a controller with the healthy set as its nominal one, and its coefficient source.
 
-    Its loop is so many times as fast as usual, and so many steps of delay are told.
+    The gains are `speed` times as fast as usual; the delay is `delay_setting` samples.
     """
     nominal = coefficients()
     source = CoefficientSource(Fallback.LAST_GOOD, nominal)
-    gains, delay = law.gains.times(speed), told * DT_NS * 1e-9
+    gains, delay = law.gains.times(speed), delay_setting * DT_NS * 1e-9
     return RateController(source, nominal, LIMITS, delay, law, gains=gains, **options), source
 
 
 def a_sample_later(
     x: FloatArray, u: FloatArray, plant: FloatArray, push: FloatArray | float = 0.0
 ) -> FloatArray:
-    """Rates of a plant of these coefficients after the interval of a sample, in Euler's steps."""
+    """Return the plant's rates a sample later, by Euler steps."""
     for _ in range(SUBSTEPS):
         f = STRUCTURE.regressor(x, u, np.zeros(2))
         x = x + DT_NS * 1e-9 / SUBSTEPS * (plant[:3] @ f + push)
@@ -61,12 +61,12 @@ def flown(
     effect: Callable[[float], FloatArray | float] | float = 1.0,
     reference: Callable[[float], FloatArray] | FloatArray = STEP,
     seconds: float = 4.0,
-    disturbance: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),  # or (N, 3), a row a sample
+    disturbance: Sequence[float] | FloatArray = (0.0, 0.0, 0.0),  # or (N, 3), per sample
     noise: float = 0.0,
     each: Callable[[int], None] = lambda t_ns: None,
     delay_steps: int = DELAY_STEPS,  # True delay; the controller assumes `DELAY_STEPS`
 ) -> FloatArray:
-    """Rates of the plant, (N, 3); `effect` may change with time."""
+    """Return the rates of the plant, (N, 3); `effect` may be a function of time."""
     rng, healthy = np.random.default_rng(1), coefficients().values
     x, underway, rates = np.zeros(3), [np.zeros(4)] * delay_steps, []
     for k in range(round(seconds * 1e9 / DT_NS)):

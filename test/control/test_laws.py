@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws on a linear aircraft: what the loop can stand."""
+"""The control laws on a linear aircraft: tracking, faults, gaps."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ BOTH = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 
 
 @BOTH
-def test_it_follows_a_step_without_overshoot_to_speak_of(law: Law) -> None:
+def test_the_rates_follow_a_step_with_little_overshoot(law: Law) -> None:
     rates = flown(controller(law)[0])
     np.testing.assert_allclose(rates[-1], STEP, atol=2e-3)
     assert (rates.max(axis=0) < 1.15 * STEP).all()
@@ -45,8 +45,8 @@ def test_a_steady_disturbance_leaves_no_error(law: Law) -> None:
 
 @BOTH
 @pytest.mark.parametrize("effect", [0.5, 1.6])
-def test_it_stands_surfaces_of_another_effect(law: Law, effect: float) -> None:
-    """What the last good set is after a fault: wrong, but stable and exact in the end."""
+def test_the_loop_is_stable_with_another_effect_of_the_surfaces(law: Law, effect: float) -> None:
+    """As with the last good set after a fault: wrong, but stable and without steady error."""
     rates = flown(controller(law, adaptive=False)[0], effect, seconds=8.0)
     np.testing.assert_allclose(rates[-1], STEP, atol=5e-3)
     assert (rates.max(axis=0) < 1.6 * STEP).all()
@@ -54,7 +54,7 @@ def test_it_stands_surfaces_of_another_effect(law: Law, effect: float) -> None:
 
 @BOTH
 @pytest.mark.parametrize("lost", [0, 1, 2], ids=["elevator", "rudder", "aileron"])
-def test_a_dead_surface_leaves_the_other_axes_whole(law: Law, lost: int) -> None:
+def test_a_dead_surface_does_not_affect_the_other_axes(law: Law, lost: int) -> None:
     effect = np.ones(4)
     effect[lost] = 0.0
     rates = flown(controller(law, adaptive=False)[0], effect, seconds=8.0)
@@ -84,20 +84,20 @@ def test_a_repaired_surface_is_no_longer_dead() -> None:
     assert [found[k] for k in (299, 690, 1199)] == [False, True, False]
 
 
-def test_yawing_rolls_by_the_dihedral_and_by_the_rudder_that_holds_it() -> None:
+def test_yaw_for_roll_includes_the_dihedral_and_the_rudder_of_the_sideslip() -> None:
     structure = STRUCTURES["flight_dynamics"]
-    assert yaw_for_roll(coefficients()) == 0.0  # nothing is rolled by sideslip
+    assert yaw_for_roll(coefficients()) == 0.0  # sideslip does not roll this aircraft
     given = {"pdot/beta": -14.0, "pdot/dr": 3.0, "rdot/beta": 4.0, "rdot/dr": -4.0}
     values = matrix(structure, given)
     aircraft = Coefficients(structure, values, np.zeros_like(values))
     assert yaw_for_roll(aircraft) == pytest.approx(SIDESLIP_RATE / 11.0)
-    values[structure.index("rdot/beta")] = -4.0  # it would not stay in a sideslip
+    values[structure.index("rdot/beta")] = -4.0  # directionally unstable
     assert yaw_for_roll(aircraft) == 0.0
 
 
 def test_rolling_by_sideslip_keeps_the_rudder_off_its_stops() -> None:
     effect = coefficients().values[:3, INPUT_COLUMNS] * np.array([1.0, 1.0, 0.0, 1.0])
-    scale = authority(effect, LIMITS) * np.array([1.0, 1.0, 0.5])  # half of the rudder's
+    scale = authority(effect, LIMITS) * np.array([1.0, 1.0, 0.5])  # half of the rudder's authority
     law, wanted = IncrementalLaw(LIMITS, scale), np.array([1.0, 0.0, 0.0])
     law.restart(np.zeros(3), wanted, np.zeros(4))
     u = law.update(0.01, effect, np.zeros(3), wanted, np.zeros(4), yaw_for_roll=-1.0)
@@ -110,9 +110,9 @@ def test_rolling_by_sideslip_keeps_the_rudder_off_its_stops() -> None:
         (0.5, 0.05, 0.0, -6.0, False),
         (0.5, -0.3, 0.0, -6.0, False),
         (0.2, 0.3, 0.0, -6.0, True),
-        (0.2, 0.3, -1.8, -6.0, False),  # which its damping stops
-        (0.0, 0.05, 1.8, -6.0, True),  # a jammed aileron has just begun
-        (0.2, 0.3, -1.8, 0.0, True),  # nobody knows a damping
+        (0.2, 0.3, -1.8, -6.0, False),  # the damping stops the roll
+        (0.0, 0.05, 1.8, -6.0, True),  # a jammed aileron, at its beginning
+        (0.2, 0.3, -1.8, 0.0, True),  # the damping is unknown
     ],
 )
 def test_only_an_aircraft_that_rolls_over_is_rolled_by_sideslip(
@@ -124,7 +124,7 @@ def test_only_an_aircraft_that_rolls_over_is_rolled_by_sideslip(
 
 @BOTH
 @pytest.mark.parametrize("adaptive", [False, True])
-def test_a_sample_or_a_reference_that_is_not_finite_moves_nothing(law: Law, adaptive: bool) -> None:
+def test_a_sample_or_reference_that_is_not_finite_moves_no_input(law: Law, adaptive: bool) -> None:
     flying, _ = controller(law, adaptive=adaptive)
     before = flying.update(START, np.zeros(3), STEP)
     nan, later = np.array([np.nan, 0.0, 0.0]), START
@@ -137,7 +137,7 @@ def test_a_sample_or_a_reference_that_is_not_finite_moves_nothing(law: Law, adap
 
 
 def test_a_gap_keeps_the_inputs_that_hold_a_steady_disturbance() -> None:
-    """Trim is off: what holds it acts on through a gap of the Imu, and after it."""
+    """A wrong trim needs constant inputs, during a gap of the Imu and after it."""
     flying, _ = controller(adaptive=False)
     push, x, u = np.array([3.0, -1.5, 0.4]), np.zeros(3), np.zeros(4)
     plant, held = coefficients().values, np.zeros(3)
@@ -151,7 +151,7 @@ def test_a_gap_keeps_the_inputs_that_hold_a_steady_disturbance() -> None:
     assert (held < 0.01).all()
 
 
-def test_after_a_gap_it_starts_afresh() -> None:
+def test_after_a_gap_the_controller_starts_anew() -> None:
     flying, _ = controller()
     for k in range(200):
         flying.update(START + k * DT_NS, np.array([0.3, 0.0, 0.0]), np.zeros(3))
@@ -161,8 +161,8 @@ def test_after_a_gap_it_starts_afresh() -> None:
     np.testing.assert_allclose(late, fresh, atol=1e-12)
 
 
-def test_a_new_model_moves_no_surface_at_once() -> None:
-    """Steady rates held on a set of twice the effect; then the right one comes."""
+def test_new_coefficients_do_not_cause_a_step_of_the_rates() -> None:
+    """Steady rates are held with coefficients of twice the effect, until the right ones arrive."""
     for law in LAWS.values():
         flying, source = controller(law)
 
@@ -187,7 +187,7 @@ def test_pid_follows_and_stops_its_integrator_at_a_limit() -> None:
         u = law.update(next(times), np.zeros(3), np.array([3.0, 0.0, 0.0]))
     assert u[2] == 0.3 and u[0] == u[1] == u[3] == 0.0
     back = [law.update(next(times), np.array([0.3, 0.0, 0.0]), np.zeros(3))[2] for _ in range(200)]
-    assert min(back) < 0.0  # it let go at once, not after ten seconds of unwinding
+    assert min(back) < 0.0  # it decreased at once, not after ten seconds of unwinding
 
 
 def test_the_filter_is_exact_at_any_step() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is left of the jerk without the aircraft's own motion is what the inputs make."""
+"""The response to the inputs: the jerk without the aircraft's own motion."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ LEVEL = np.array([0.0, 0.0, 0.0, 0.0, -GRAVITY / AIRCRAFT["az/alpha"], 0.0, 0.0]
 
 
 def gains(share: FloatArray | float, airspeed: float = AIRSPEED) -> tuple[FloatArray, FloatArray]:
-    """g of each axis by least squares, and the share of the jerk that it leaves unexplained."""
+    """g of each axis by least squares, and its residual relative to the jerk, rms."""
     believed = matrix(STRUCTURE, AIRCRAFT)
     flow = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.0, pitch=0.0, airspeed=airspeed)
     model = AttitudeModel(STRUCTURE, believed, STRUCTURE.mask, flow)
@@ -46,17 +46,17 @@ def gains(share: FloatArray | float, airspeed: float = AIRSPEED) -> tuple[FloatA
 
 
 @pytest.mark.parametrize("share", [(1.0, 1.0, 1.0), (0.5, 1.0, 1.0), (-1.0, 0.5, 0.5)])
-def test_what_the_inputs_make_is_left(share: tuple[float, float, float]) -> None:
+def test_the_response_is_that_of_the_inputs_alone(share: tuple[float, float, float]) -> None:
     assert gains(np.array(share))[0] == pytest.approx(share, abs=0.15)
 
 
-def test_it_needs_to_know_what_the_flow_does() -> None:
-    """Without an airspeed no bank makes a sideslip, and nothing damps the angle of attack."""
+def test_without_an_airspeed_more_of_the_response_is_unexplained() -> None:
+    """The own motion then has no sideslip by bank and no damping of the angle of attack."""
     (_, known), (_, unknown) = gains(1.0), gains(1.0, np.inf)
     assert (unknown > 1.5 * known)[1:].all()
 
 
-def test_an_airspeed_that_nobody_knows_is_not_divided_by() -> None:
+def test_an_airspeed_of_zero_gives_a_finite_response() -> None:
     still = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.3, pitch=0.0, airspeed=0.0)
     model, response = (
         AttitudeModel(STRUCTURE, matrix(STRUCTURE, AIRCRAFT), STRUCTURE.mask, flow=still),
@@ -68,7 +68,7 @@ def test_an_airspeed_that_nobody_knows_is_not_divided_by() -> None:
 
 
 def test_the_own_motion_is_that_of_level_flight() -> None:
-    """At the angle of attack that carries the aircraft, of which a roll makes sideslip."""
+    """The angle of attack is that of level flight; a roll turns it into sideslip."""
     true = matrix(STRUCTURE, AIRCRAFT)
     flow = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.0, pitch=0.0, airspeed=AIRSPEED)
     own = own_motion(AttitudeModel(STRUCTURE, true, STRUCTURE.mask, flow))
@@ -78,8 +78,8 @@ def test_the_own_motion_is_that_of_level_flight() -> None:
     np.testing.assert_allclose(own, slopes, atol=1e-6)
 
 
-def test_what_another_input_does_is_no_effect_of_the_axis() -> None:
-    """An aileron that yaws as much as the rudder that makes up for it."""
+def test_the_effect_of_another_input_is_not_attributed_to_the_axis() -> None:
+    """The aileron yaws, and the rudder compensates all of it."""
     true, effect = (
         np.zeros((3, 4)),
         np.array([[0.0, 0.0, 30.0], [-26.0, 0.0, 0.0], [0.0, -8.0, -5.0]]),
@@ -98,7 +98,7 @@ def test_what_another_input_does_is_no_effect_of_the_axis() -> None:
     assert (answered * made).sum() / (made**2).sum() == pytest.approx(0.5, abs=0.05)
 
 
-def test_a_tight_turn_is_no_effect_of_the_elevator() -> None:
+def test_a_tight_turn_does_not_bias_the_effect_of_the_elevator() -> None:
     """At 15 m/s, 35 degrees to both sides: a linear model has twice the lift of the turn."""
     airspeed, true = 15.0, matrix(STRUCTURE, AIRCRAFT | {"qdot/pr": 0.0, "qdot/1": 0.0})
     true[STRUCTURE.index("qdot/1")] = -AIRCRAFT["qdot/alpha"] * LEVEL[4]  # in trim
@@ -106,7 +106,7 @@ def test_a_tight_turn_is_no_effect_of_the_elevator() -> None:
     for k in range(3000):
         roll, pitch = state[5:]
         flow = FlowState(0.0, 0.0, 0.0, 0.0, roll, pitch, airspeed)
-        if k % 5 == 0:  # a message
+        if k % 5 == 0:  # a message arrives
             model = AttitudeModel(STRUCTURE, true, STRUCTURE.mask, flow)
         if response.update(state[:3], true[:3, INPUT_COLUMNS], u[None], DT, model):
             found.append((response.answered[0, 1], response.made[0, 1]))
