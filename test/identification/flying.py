@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured flights fed to the identifier, as tests need them."""
+"""Simulated flights, their measurements, and runs of the identifier on them."""
 
 from collections.abc import Iterable, Mapping
 from functools import cache
@@ -28,7 +28,7 @@ _FLOWN: dict[str, Flight] = {}
 
 
 def flight_of(plan: Plan) -> Flight:
-    """The flight; each is flown once."""
+    """Return the flight of a plan; each plan is simulated once."""
     key = repr(plan)
     if key not in _FLOWN:
         _FLOWN[key] = plan.fly()
@@ -36,7 +36,7 @@ def flight_of(plan: Plan) -> Flight:
 
 
 def plant_flight(duration: float, **changes: Any) -> Flight:
-    """Multisines on the small aircraft of known coefficients."""
+    """Multisines on the small aircraft with known coefficients."""
     values: dict[str, Any] = {
         "vehicle": vehicle("small_uav"),
         "segments": (Segment("multisine", amplitudes=AMPLITUDES, seed=1),),
@@ -49,7 +49,7 @@ def plant_flight(duration: float, **changes: Any) -> Flight:
 
 
 def measured(duration: float, noise: float = 0.02, **changes: Any) -> Measurements:
-    """That flight as a noisy gyro measures it."""
+    """Measurements of `plant_flight` with a noisy gyro."""
     return measure(plant_flight(duration, **changes), Sensors(gyro_noise=noise), seed=2)
 
 
@@ -66,9 +66,9 @@ def light_measured(
     noise_seed: int = 0,
     **aircraft: Any,
 ) -> Measurements:
-    """Multisines on an aircraft with flow angles, in light gusts, as its Imu measures them.
+    """Measurements of multisines on an aircraft with flow angles, in light gusts.
 
-    Without `peaks` its autopilot flies it alone.
+    Without `peaks` only the autopilot moves the inputs.
     """
     values: dict[str, Any] = {"gust": 0.3, "seed": 1, **aircraft}
     excited = Segment("multisine", start, seconds, peaks, seed=values["seed"])
@@ -80,7 +80,7 @@ def light_measured(
 def light_errors(
     estimate: Estimate, *names: str, factor: float = 1.0
 ) -> tuple[FloatArray, FloatArray]:
-    """How far coefficients are from `factor` times that aircraft's: in shares, and in sigmas."""
+    """Errors from `factor` times the light aircraft's coefficients: relative, and in sigmas."""
     places = tuple(zip(*map(STRUCTURES["flight_dynamics"].index, names), strict=True))
     true = factor * np.array([TRUTH[name] for name in names])
     error = np.abs(estimate.coefficients[places] - true)
@@ -88,14 +88,14 @@ def light_errors(
 
 
 def stiff_autopilot(seconds: float, seed: int) -> Measurements:
-    """That aircraft, not excited, on an autopilot that answers each gust, and they are strong."""
+    """Measurements of the light aircraft, not excited: a high-gain autopilot in strong gusts."""
     air = {"bank": 30.0, "gust": 1.0, "roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
     imu = {"rate": 200.0, "gyro_noise": 0.02, "accelerometer_noise": 0.1}
     return light_measured(seconds, {}, sensors=imu, noise_seed=seed, seed=seed, **air)
 
 
 def settings(measurements: Measurements, **changes: Any) -> Settings:
-    """Settings that fit the flight; keywords with ``__`` for the dots."""
+    """Settings for the measurements; in the keywords ``__`` stands for the dot of a name."""
     values = dict(parameters(measurements))
     values.update({name.replace("__", "."): value for name, value in changes.items()})
     return Settings.from_values(values)
@@ -107,7 +107,7 @@ def messages(measurements: Measurements) -> list[Message]:
 
 
 def with_injected(measurements: Measurements, after: float = 0.0) -> list[Message]:
-    """All messages, from a time on (s) with those of what was injected."""
+    """All messages, from `after`, s, on with those of the injected signals."""
     injected = measurements.flight.injected.tolist()
     first, stamps = int(measurements.imu_t_ns[0]), measurements.actuator_t_ns.tolist()
     added = [
@@ -119,28 +119,28 @@ def with_injected(measurements: Measurements, after: float = 0.0) -> list[Messag
 
 
 def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimate]:
-    """Feed messages and compute every tick as soon as it is due."""
+    """Feed the messages; return the estimates of all ticks as they become due."""
     return list(fed(identifier, stream))
 
 
 @cache
 def excited() -> Measurements:
-    """Three quarters of a minute of the small aircraft, excited."""
+    """Measurements of 45 s of the small aircraft with excitation."""
     return measured(45.0)
 
 
 def fresh(**changes: Any) -> OnlineIdentifier:
-    """An identifier for that flight."""
+    """A new identifier with the settings for `excited`."""
     return OnlineIdentifier(settings(excited(), structure="throttle_coupled", **changes))
 
 
 def identified(
     measurements: Measurements,
     initial: CoefficientSet | None = None,
-    stream: Iterable[Message] | None = None,  # What arrives, if not what was measured
+    stream: Iterable[Message] | None = None,  # Messages, if not those of the measurements
     **changes: Any,
 ) -> tuple[OnlineIdentifier, list[Estimate]]:
-    """Identifier after the flight, and its estimates."""
+    """Return the identifier after the flight, and its estimates."""
     identifier = OnlineIdentifier(settings(measurements, **changes), initial)
     return identifier, run(identifier, messages(measurements) if stream is None else stream)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a surface does, confirmed by the flight or contradicted by it."""
+"""Confirmation of control derivatives: the flight confirms or contradicts each."""
 
 import numpy as np
 import pytest
@@ -11,16 +11,16 @@ from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, STRUCT
 LAYOUT = layout(STRUCTURES["augmented"])
 DT = 0.05
 MAX_AGE = 60.0
-BELIEVED = np.zeros((3, 4))
+ESTIMATED = np.zeros((3, 4))
 """Control derivatives, rad/s^2 per rad: aileron, elevator and rudder."""
-BELIEVED[0, INPUTS.index("da")] = 40.0
-BELIEVED[1, INPUTS.index("de")] = -25.0
-BELIEVED[2, INPUTS.index("dr")] = -9.0
+ESTIMATED[0, INPUTS.index("da")] = 40.0
+ESTIMATED[1, INPUTS.index("de")] = -25.0
+ESTIMATED[2, INPUTS.index("dr")] = -9.0
 ROLL, PITCH, YAW = range(3)
 
 
-class Flown:
-    """Ticks of surfaces that move, in gusts that are slow and large."""
+class Flight:
+    """Ticks with moving surfaces, in slow, strong gusts."""
 
     def __init__(self, seed: int = 1) -> None:
         self.confirmed = Confirmation()
@@ -39,28 +39,28 @@ class Flown:
         row: int = ROLL,
         gust: float = 0.5,
     ) -> None:
-        """Fly with the main surface of a row worth `effect` of what is believed of it."""
-        actual = BELIEVED.copy()
+        """Fly with an effect of the row's main surface of `effect` times the estimated one."""
+        actual = ESTIMATED.copy()
         actual[row] *= effect
         for _ in range(round(seconds / DT)):
             self._gust = 0.9 * self._gust + gust * self._rng.normal(size=3)
             self._u = 0.8 * self._u + 0.03 * moved * self._rng.normal(size=4)
-            residual = self._gust + (actual - BELIEVED) @ self._u
+            residual = self._gust + (actual - ESTIMATED) @ self._u
             f = np.zeros((1, 15))
             f[0, INPUT_COLUMNS] = self._u
             samples = Regression.of(np.zeros((1, 3)), f, f, DT)
             sample = RowSamples.of(samples, residual[None], LAYOUT)
             white = self._noise.whiten(sample, restarted=self.restarted)
             self.restarted = False
-            effect = LAYOUT.main_effect(BELIEVED, white)
+            effect = LAYOUT.main_effect(ESTIMATED, white)
             self.confirmed.add(white, effect, self._noise.variance, self.max_age)
 
     def doubts(self) -> list[str]:
         return [self.confirmed.doubt(row) for row in range(3)]
 
 
-def test_nothing_is_confirmed_before_anything_has_moved() -> None:
-    assert Flown().doubts() == [
+def test_no_derivative_is_confirmed_before_its_surface_has_moved() -> None:
+    assert Flight().doubts() == [
         "pdot/da is unconfirmed: da has hardly moved of late; move it",
         "qdot/de is unconfirmed: de has hardly moved of late; move it",
         "rdot/dr is unconfirmed: dr has hardly moved of late; move it",
@@ -72,10 +72,10 @@ def test_nothing_is_confirmed_before_anything_has_moved() -> None:
     [(0.5, MAX_AGE, 1.0, 1.0), (0.5, 0.0, 10.0 * MAX_AGE, 0.0), (0.0, MAX_AGE, 1.0, 1.0)],
     ids=["after a gap", "for ever if there is no largest age", "without noise"],
 )
-def test_surfaces_that_do_as_believed_are_confirmed(
+def test_surfaces_with_the_estimated_effect_are_confirmed(
     gust: float, max_age: float, then: float, moved: float
 ) -> None:
-    flight = Flown()
+    flight = Flight()
     flight.max_age = max_age
     flight.fly(20.0, gust=gust)
     flight.restarted = True
@@ -85,9 +85,9 @@ def test_surfaces_that_do_as_believed_are_confirmed(
 
 @pytest.mark.parametrize("effect", [-1.0, 0.0], ids=["reversed", "lost"])
 @pytest.mark.parametrize("row", [ROLL, PITCH, YAW])
-def test_a_surface_that_fails_speaks_against_itself(row: int, effect: float) -> None:
-    """Soon, however long it had worked; and the others stay what they are."""
-    flight = Flown()
+def test_a_failed_surface_is_contradicted_and_no_other(row: int, effect: float) -> None:
+    """Ten seconds suffice, even after a long confirmed flight."""
+    flight = Flight()
     flight.fly(2.0 * MAX_AGE)
     flight.fly(10.0, effect, row=row)
     surface, axis = ("da", "de", "dr")[row], ("pdot", "qdot", "rdot")[row]
@@ -98,19 +98,18 @@ def test_a_surface_that_fails_speaks_against_itself(row: int, effect: float) -> 
     assert doubts == ["", ""]
 
 
-@pytest.mark.parametrize(("effect", "doubted"), [(0.3, True), (0.7, False), (1.3, False)])
-def test_half_of_what_is_believed_is_the_border(effect: float, doubted: bool) -> None:
-    """Below it the flight speaks for nothing, above it for what is believed."""
-    flight = Flown()
+@pytest.mark.parametrize(("effect", "rejected"), [(0.3, True), (0.7, False), (1.3, False)])
+def test_less_than_half_the_effect_is_contradicted(effect: float, rejected: bool) -> None:
+    flight = Flight()
     flight.fly(60.0)
     flight.fly(30.0, effect)
     doubts = flight.doubts()
-    assert ("does not follow" in doubts[ROLL]) == doubted
-    assert doubted or doubts == ["", "", ""]
+    assert ("does not follow" in doubts[ROLL]) == rejected
+    assert rejected or doubts == ["", "", ""]
 
 
-def test_what_does_not_move_fades_in_its_time() -> None:
-    flight = Flown()
+def test_the_confirmation_of_resting_surfaces_ends_at_the_largest_age() -> None:
+    flight = Flight()
     flight.fly(60.0)
     flight.fly(0.4 * MAX_AGE, moved=0.0)
     assert flight.doubts() == ["", "", ""]
@@ -121,9 +120,9 @@ def test_what_does_not_move_fades_in_its_time() -> None:
 
 
 @pytest.mark.parametrize("seed", range(1, 6))
-def test_what_no_surface_explains_speaks_against_none(seed: int) -> None:
-    """A manoeuvre about another axis, which leaves far more than usual, as sideslip pitches."""
-    flight = Flown(seed)
+def test_a_disturbance_that_no_surface_explains_contradicts_none(seed: int) -> None:
+    """As in a manoeuvre about another axis: sideslip pitches, and the residual is large."""
+    flight = Flight(seed)
     flight.fly(60.0)
     for _ in range(20):
         flight.fly(0.5, moved=0.5, gust=15.0)
@@ -131,22 +130,22 @@ def test_what_no_surface_explains_speaks_against_none(seed: int) -> None:
 
 
 TURN, REST = 3.0, 15.0
-"""Time of a test input on a surface, and of those on the others, s."""
-MOVED = 4.0
-"""Size of a test input."""
+"""Duration of a test input on a surface, and of those on the others, s."""
+LARGE = 4.0
+"""Size of a test input relative to the usual motion."""
 
 
-def in_turns() -> Flown:
-    """Fly three turns of all surfaces, the last one just over; what is confirmed fades in 5 s."""
-    flight = Flown()
+def in_turns() -> Flight:
+    """Fly three test inputs with rests between them; the largest age of a confirmation is 5 s."""
+    flight = Flight()
     flight.max_age = 5.0
     for _ in range(3):
         flight.fly(REST, moved=0.0)
-        flight.fly(TURN, moved=MOVED)
+        flight.fly(TURN, moved=LARGE)
     return flight
 
 
-def test_surfaces_that_have_their_turns_stay_confirmed_until_the_next_is_due() -> None:
+def test_periodic_test_inputs_keep_surfaces_confirmed_until_the_next_is_due() -> None:
     flight = in_turns()
     flight.fly(REST + TURN, moved=0.0)
     assert flight.doubts() == ["", "", ""]
@@ -154,19 +153,19 @@ def test_surfaces_that_have_their_turns_stay_confirmed_until_the_next_is_due() -
     assert all("unconfirmed" in doubt for doubt in flight.doubts())
 
 
-def test_a_turn_in_which_a_surface_does_nothing_counts_against_it() -> None:
+def test_a_test_input_without_effect_contradicts_its_surface() -> None:
     flight = in_turns()
     flight.fly(REST, moved=0.0)
-    flight.fly(TURN, 0.0, MOVED, row=PITCH)
+    flight.fly(TURN, 0.0, LARGE, row=PITCH)
     assert [bool(doubt) for doubt in flight.doubts()] == [False, True, False]
 
 
-def test_a_row_that_is_learned_anew_is_forgotten_alone() -> None:
+def test_only_the_row_that_is_learned_anew_loses_its_confirmation() -> None:
     flight = in_turns()
     flight.confirmed.forget(PITCH)
     doubts = flight.doubts()
     assert doubts[PITCH].startswith("qdot/de is unconfirmed")
     assert [doubts[ROLL], doubts[YAW]] == ["", ""]
-    flight.fly(TURN, moved=MOVED)
+    flight.fly(TURN, moved=LARGE)
     flight.fly(8.0, moved=0.0)
     assert [bool(doubt) for doubt in flight.doubts()] == [False, True, False]

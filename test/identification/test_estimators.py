@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimators on plants of known truth."""
+"""The estimators on plants with known coefficients."""
 
 import numpy as np
 import pytest
@@ -23,8 +23,8 @@ def excitation(times: float) -> tuple[Segment, ...]:
     return (Segment("multisine", amplitudes=amplitudes, seed=1),)
 
 
-def test_the_papers_law_converges_to_the_truth() -> None:
-    # Persistent excitation wild enough to move the rate products too, no noise.
+def test_the_papers_law_converges_to_the_true_coefficients() -> None:
+    # Persistent excitation, strong enough for the rate products, without noise.
     m = measured(60.0, noise=0.0, segments=excitation(3.0))
     own = {"estimator": "gradient", "gradient__gains": (6.0,) * 12}
     found = identified(m, structure=STRUCTURE, **own)[1][-1].coefficients
@@ -33,19 +33,19 @@ def test_the_papers_law_converges_to_the_truth() -> None:
 
 @BOTH
 @pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_the_estimate_is_the_truth(estimator: str, noise: float) -> None:
-    """All that is linear without noise; with it, the dominant ones within five percent."""
+def test_the_coefficients_are_those_of_the_plant(estimator: str, noise: float) -> None:
+    """Without noise all linear coefficients are; with noise the dominant ones, within 5 %."""
     m = measured(30.0, noise)
     identifier, (*_, last) = identified(m, structure=STRUCTURE, estimator=estimator)
     names, limit = (DOMINANT, 0.05) if noise else (linear_names(m.flight), 0.005)
     assert worst_error(last.coefficients, m.flight, names) < limit
-    if not noise:  # no residual shows what one number for all speeds and angles is off by
+    if not noise:  # the residual does not show the error by constant coefficients
         places = tuple(zip(*map(identifier.structure.index, DOMINANT), strict=True))
         ratio = last.sigma[places] / np.abs(last.coefficients[places])
         np.testing.assert_allclose(ratio, 0.03, rtol=0.01)
 
 
-def test_gusts_bias_least_squares_but_not_the_instruments() -> None:
+def test_gusts_bias_least_squares_but_not_the_instrumental_variables() -> None:
     m = measured(40.0, 0.03, gusts=ColouredNoise(1.0, 0.3))
 
     def error(estimator: str) -> float:
@@ -60,7 +60,7 @@ def test_gusts_bias_least_squares_but_not_the_instruments() -> None:
 
 @BOTH
 def test_sigma_covers_the_error(estimator: str) -> None:
-    """Pooled over a few flights in gusts; the campaign does it over hundreds."""
+    """Pooled over a few flights in gusts; the campaign uses hundreds."""
     ratios = []
     for seed in range(3):
         m = measured(20.0, 0.03, gusts=ColouredNoise(0.3, 0.3), seed=seed)
@@ -73,7 +73,7 @@ def test_sigma_covers_the_error(estimator: str) -> None:
     assert (pooled < 2.0).mean() > 0.85
 
 
-def test_known_inertias_fix_the_rate_products_and_what_is_fixed_has_no_sigma() -> None:
+def test_known_inertias_fix_the_rate_products_and_fixed_ones_have_no_sigma() -> None:
     body, names = vehicle("small_uav").inertia, ("pdot/dth", "rdot/dth")
     assert body is not None
     m = measured(8.0)
@@ -96,7 +96,7 @@ PAPER = {
 
 
 @pytest.mark.parametrize("step", ["euler", "guarded"])
-def test_eulers_step_that_diverges_is_a_fault_and_stays_finite(step: str) -> None:
+def test_a_diverging_euler_step_is_a_fault_and_stays_finite(step: str) -> None:
     m = measured(12.0, segments=excitation(6.0))
     _, estimates = identified(m, **PAPER, gradient__step=step)
     assert all(np.isfinite(e.coefficients).all() for e in estimates)
@@ -104,9 +104,9 @@ def test_eulers_step_that_diverges_is_a_fault_and_stays_finite(step: str) -> Non
     assert ("gradient.gains" in estimates[-1].reason) == (step == "euler")
 
 
-def test_inputs_that_move_together_are_named() -> None:
+def test_collinear_inputs_are_named() -> None:
     class Tied(Segment):
-        """Rudder and aileron in proportion, as behind an aileron-rudder interconnect."""
+        """Rudder in proportion to the aileron, as with an interconnect."""
 
         def sample(self, t: np.ndarray) -> np.ndarray:
             u = super().sample(t)
@@ -124,7 +124,7 @@ def test_inputs_that_move_together_are_named() -> None:
 
 
 def information_of(f: FloatArray, y: FloatArray) -> Information:
-    """Information of samples of 50 ms, correlated over 0.1 s."""
+    """Information of samples, 50 ms apart, with a correlation time of 0.1 s."""
     structure, places = STRUCTURES["augmented"], layout(STRUCTURES["augmented"])
     start = start_from(Settings.from_values({"structure": "augmented"}))
     information = Information(structure, places, start, 0.1)
@@ -137,7 +137,7 @@ def information_of(f: FloatArray, y: FloatArray) -> Information:
 def test_inputs_that_correlate_by_more_than_97_percent_are_named(
     correlation: float, named: bool
 ) -> None:
-    """The smaller eigenvalue is what the correlation lacks to one."""
+    """The smaller eigenvalue of the correlation matrix is 1 minus the correlation."""
     structure, chance = STRUCTURES["augmented"], np.random.default_rng(1)
     f = chance.normal(size=(20_000, structure.size))
     rudder, aileron = structure.column("dr"), structure.column("da")
@@ -147,13 +147,13 @@ def test_inputs_that_correlate_by_more_than_97_percent_are_named(
     assert found == [(f"{row}/dr", f"{row}/da") for row in ("pdot", "rdot") if named]
 
 
-def test_the_first_samples_count_as_if_noise_of_a_third_of_a_radian_were_in_them() -> None:
-    """Of the acceleration, in rad/s^2: as much as the prior, the aileron's effect is half known."""
+def test_the_first_residual_variance_is_that_of_noise_of_a_third_of_a_rad_s2() -> None:
+    """With as much information as the prior, half of the aileron's effect is estimated."""
     structure, start = STRUCTURES["augmented"], start_from(Settings())
     place, effect = structure.index("pdot/da"), 40.0
-    told = 0.1 * 0.1 / start.sigma[STRUCTURES["flight_dynamics"].index("pdot/da")] ** 2
+    needed = 0.1 * 0.1 / start.sigma[STRUCTURES["flight_dynamics"].index("pdot/da")] ** 2
     f, y = np.zeros((4, structure.size)), np.zeros((4, 3))
-    f[:, place[1]] = np.sqrt(told / (4 * 0.05))
+    f[:, place[1]] = np.sqrt(needed / (4 * 0.05))
     y[:, 0] = effect * f[:, place[1]]
     information = information_of(f, y)
     found = information.solve(information.start.values).values[0][place]
@@ -161,10 +161,10 @@ def test_the_first_samples_count_as_if_noise_of_a_third_of_a_radian_were_in_them
 
 
 @pytest.mark.parametrize(("forgetting_time", "low", "high"), [(0.0, 0.8, 1.2), (5.0, 1.3, 3.0)])
-def test_what_rests_is_kept_or_grows_unsure_with_its_row(
+def test_the_sigma_of_resting_inputs_grows_only_with_forgetting(
     forgetting_time: float, low: float, high: float
 ) -> None:
-    """Rudder and throttle rest from 20 s on; what the others do stays as well known."""
+    """Rudder and throttle rest from 20 s on; the other coefficients stay as well known."""
     still = {name: peak for name, peak in AMPLITUDES.items() if name in ("de", "da")}
     segments = (
         Segment("multisine", duration=20.0, amplitudes=AMPLITUDES, seed=1),

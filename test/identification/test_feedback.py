@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feedback: inputs that answer a disturbance are found, and count as little as they identify."""
+"""Feedback: answers to disturbances are detected, and their information is discounted."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ PDOT_DA = STRUCTURE.index("pdot/da")
 def fly(
     gain: float, excitation: float, seconds: float = 120.0, seed: int = 1
 ) -> tuple[Regression, np.ndarray]:
-    """Return samples of a roll in gusts that the aileron answers after a tick; and the gusts."""
+    """Return samples of a roll in gusts that the aileron answers a tick later, and the gusts."""
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
     f, gusts, answer = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows)), 0.0
@@ -39,23 +39,23 @@ def fly(
     return Regression.of(y, f, f, DT), gusts
 
 
-def look(samples: Regression, residual: np.ndarray, effect: float = 0.0) -> Feedback:
-    """What is found with a sample at a time, where the aileron is known to have some effect."""
-    looked, known = Feedback(LAYOUT), np.array([effect, 0.0, 0.0])
+def detect_feedback(samples: Regression, residual: np.ndarray, effect: float = 0.0) -> Feedback:
+    """Return the feedback detected in the samples, for an aileron of known `effect`."""
+    detected, known = Feedback(LAYOUT), np.array([effect, 0.0, 0.0])
     for k in range(len(samples.y)):
         part = slice(k, k + 1)
         one = replace(samples, signals=samples.signals[part])
-        looked.add(one, residual[part, :3], np.ones(3), known)
-    return looked
+        detected.add(one, residual[part, :3], np.ones(3), known)
+    return detected
 
 
 def shares(samples: Regression, residual: np.ndarray) -> np.ndarray:
-    """Shares of the inputs that are sure to be answers."""
-    return look(samples, residual).share
+    """Shares of the inputs that are certain answers, (4,)."""
+    return detect_feedback(samples, residual).share
 
 
 EXCITED = 0.01**2 * 8 / 2
-"""Variance of an excitation of 0.01."""
+"""Variance of an excitation of amplitude 0.01."""
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -68,26 +68,26 @@ EXCITED = 0.01**2 * 8 / 2
     ],
     ids=["answers gusts", "is excited", "both"],
 )
-def test_the_share_is_what_answers_have_of_an_ailerons_variance(
+def test_the_share_is_that_of_the_answers_in_the_ailerons_variance(
     gain: float, excitation: float, share: float, tolerance: float, seed: int
 ) -> None:
-    """And nothing of the inputs that do not move."""
+    """It is zero for inputs that do not move."""
     found = shares(*fly(gain, excitation, seed=seed))
     assert found[2] == pytest.approx(share, abs=tolerance)
     assert found[[0, 1, 3]].tolist() == [0.0, 0.0, 0.0]
 
 
-def test_what_may_be_chance_is_no_share_but_may_be_an_answer() -> None:
-    """Half a minute: the gusts look like the excitation."""
-    looked = look(*fly(0.0, 0.01, seconds=30.0))
-    assert looked.answering is not None
-    assert looked.answering.max() > 0.01
-    assert not looked.share.any()
-    assert not looked.answering[:, 2].any()
+def test_a_correlation_by_chance_is_a_possible_answer_without_a_share() -> None:
+    """In half a minute the gusts correlate with the excitation."""
+    detected = detect_feedback(*fly(0.0, 0.01, seconds=30.0))
+    assert detected.answering is not None
+    assert detected.answering.max() > 0.01
+    assert not detected.share.any()
+    assert not detected.answering[:, 2].any()
 
 
 def in_turns(seed: int, column: int) -> tuple[Regression, np.ndarray]:
-    """Return samples of 20 s of steps of one input, in gusts as slow that nothing answers."""
+    """Return 20 s of steps of one input, in gusts as slow as the steps, without feedback."""
     rng = np.random.default_rng(seed)
     n, keep = round(20.0 / DT), np.exp(-DT / 1.5)
     f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
@@ -101,28 +101,28 @@ def in_turns(seed: int, column: int) -> tuple[Regression, np.ndarray]:
 SLOW_FLIGHTS = range(1, 9)
 
 
-def test_steps_that_outdo_slow_gusts_are_no_answers_to_them() -> None:
-    """By chance past residuals explain much of few steps; a weak input may well answer."""
+def test_steps_of_an_effective_input_in_slow_gusts_are_no_answers() -> None:
+    """Past residuals explain much of a few steps by chance; a weak input may be an answer."""
     flights = [in_turns(seed, AILERON) for seed in SLOW_FLIGHTS]
-    assert any(look(*flight, effect=10.0).share[2] for flight in flights)
-    assert not any(look(*flight, effect=40.0).share[2] for flight in flights)
+    assert any(detect_feedback(*flight, effect=10.0).share[2] for flight in flights)
+    assert not any(detect_feedback(*flight, effect=40.0).share[2] for flight in flights)
 
 
-def test_the_throttle_answers_only_what_foretells_it() -> None:
-    """No rate loop moves it, and no row tells how strong it is."""
+def test_slow_gusts_leave_throttle_steps_without_a_share() -> None:
+    """No rate loop moves the throttle, and no row gives its effect."""
     throttle = INPUT_COLUMNS.stop - 1
-    assert not any(look(*in_turns(seed, throttle)).share[3] for seed in SLOW_FLIGHTS)
+    assert not any(detect_feedback(*in_turns(seed, throttle)).share[3] for seed in SLOW_FLIGHTS)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_strong_input_that_answers_beside_its_excitation_is_found(seed: int) -> None:
+def test_an_effective_input_with_excitation_and_answers_has_a_share(seed: int) -> None:
     samples, gusts = fly(0.02, 0.01, seed=seed)
-    strong, weak = (look(samples, gusts, effect).share[2] for effect in (200.0, 0.0))
+    strong, weak = (detect_feedback(samples, gusts, effect).share[2] for effect in (200.0, 0.0))
     assert strong == weak > 0.2
 
 
 def answers(*by: float) -> np.ndarray:
-    """What `Sums.answers` weighs the instruments by, where the aileron answers."""
+    """Return the weights of the instruments by `Sums.answers`, where the aileron answers."""
     follows = LAYOUT.index == AILERON
     pairs = follows[:, :, None] * follows[:, None]
     return pairs[:, None] * np.array(by)[:, None, None]
@@ -137,7 +137,7 @@ def learned(
     sure: bool = True,
     instruments: bool = False,
 ) -> tuple[float, float]:
-    """pdot/da and its sigma, with a share of the aileron, from a prior of a fifth of `initial`."""
+    """Return pdot/da and its sigma for a share of the aileron; prior sigma 0.2 `initial`."""
     start = start_from(Settings())
     values, sigma = start.values.copy(), start.sigma.copy()
     if initial:
@@ -154,8 +154,8 @@ def learned(
     return float(solution.values[0][PDOT_DA]), float(found[0][PDOT_DA])
 
 
-def left(samples: Regression, gusts: np.ndarray) -> tuple[float, np.ndarray]:
-    """The error of pdot/da that does without shares, rad/s^2, and the residual that it leaves."""
+def with_residual(samples: Regression, gusts: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the error of pdot/da without shares, and the residual with it, rad/s^2."""
     error = learned(samples, gusts, 0.0)[0] - TRUE
     residual = gusts.copy()
     residual[:, 0] -= error * samples.f[:, AILERON]
@@ -164,32 +164,32 @@ def left(samples: Regression, gusts: np.ndarray) -> tuple[float, np.ndarray]:
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("excitation", [0.01, 0.006])
-def test_sigma_covers_what_no_residual_shows(excitation: float, seed: int) -> None:
-    """An answer and an excitation: the estimate is off, sigma without the share too small.
+def test_sigma_with_the_share_covers_the_bias_by_feedback(excitation: float, seed: int) -> None:
+    """Without the share, sigma is less than a fourth of the error.
 
-    With the smaller one most of the gusts is in the estimate, and not in the residual.
+    With less excitation most of the gusts is in the estimate, not in the residual.
     """
     samples, gusts = fly(0.02, excitation, seed=seed)
     share = shares(samples, gusts)[2]
-    error, residual = left(samples, gusts)
-    _, blind = learned(samples, residual, 0.0)
+    error, residual = with_residual(samples, gusts)
+    _, without_share = learned(samples, residual, 0.0)
     _, sigma = learned(samples, residual, share)
-    assert abs(error) > 4.0 * blind
+    assert abs(error) > 4.0 * without_share
     assert abs(error) < 2.0 * sigma
 
 
 def weak(samples: Regression, noise: float) -> Regression:
-    """The same with an instrument of the aileron that is noise, too, `noise` (rad) rms."""
+    """The samples with noise of `noise`, rad rms, in the aileron's instrument."""
     z = samples.z.copy()
     z[:, AILERON] += noise * np.random.default_rng(9).normal(size=len(z))
     return Regression.of(samples.y, samples.f, z, DT)
 
 
 @pytest.mark.parametrize("initial", [0.0, 20.0])
-def test_where_the_estimate_may_hide_the_gusts_only_what_was_known_bounds_it(
+def test_with_poor_instruments_of_answers_sigma_is_the_priors_and_the_shift(
     initial: float,
 ) -> None:
-    """Answers and a poor instrument of them: sigma is that of the start, and how far it moved."""
+    """The estimate may then contain all of the gusts."""
     samples, gusts = fly(0.02, 0.0)
     value, sigma = learned(
         weak(samples, 0.02), gusts, 0.9, initial, sure=not initial, instruments=True
@@ -198,19 +198,19 @@ def test_where_the_estimate_may_hide_the_gusts_only_what_was_known_bounds_it(
     assert sigma == pytest.approx(np.hypot(before, value - initial), rel=0.05)
 
 
-@pytest.mark.parametrize(("noise", "counts"), [(0.0, False), (0.1, True)])
-def test_what_may_be_chance_counts_where_it_could_hide_the_gusts(
-    noise: float, counts: bool
+@pytest.mark.parametrize(("noise", "increases"), [(0.0, False), (0.1, True)])
+def test_possible_answers_increase_sigma_only_with_a_poor_instrument(
+    noise: float, increases: bool
 ) -> None:
-    """A share of 10 % hides little, unless the instrument has only a hundredth of the aileron."""
+    """The poor instrument contains a hundredth of the aileron's power; the share is 10 %."""
     samples, gusts = fly(0.0, 0.005)
-    _, blind = learned(weak(samples, noise), gusts, 0.0, instruments=True)
-    _, doubtful = learned(weak(samples, noise), gusts, 0.1, sure=False, instruments=True)
-    assert (doubtful > 1.5 * blind) == counts
+    _, without_share = learned(weak(samples, noise), gusts, 0.0, instruments=True)
+    _, with_possible_share = learned(weak(samples, noise), gusts, 0.1, sure=False, instruments=True)
+    assert (with_possible_share > 1.5 * without_share) == increases
 
 
-def test_an_autopilot_in_gusts_leaves_little_known_wrongly() -> None:
-    """A stiff one, which answers each gust: half of the aileron looked known to a third."""
+def test_under_a_high_gain_autopilot_in_gusts_most_errors_are_within_two_sigma() -> None:
+    """Feedback biases pdot/da by half; the errors are within two sigma most of the time."""
     within = []
     for seed in range(1, 5):
         _, estimates = identified(stiff_autopilot(45.0, seed))
@@ -218,8 +218,8 @@ def test_an_autopilot_in_gusts_leaves_little_known_wrongly() -> None:
     assert np.mean(within) > 0.6
 
 
-def test_an_excitation_after_an_autopilot_is_learned_from() -> None:
-    """What answers may have hidden in other derivatives is no reason to doubt the elevator's."""
+def test_the_elevator_is_learned_from_an_excitation_after_feedback() -> None:
+    """Feedback in other derivatives does not increase the elevator's sigma."""
     peaks = {"de": 0.06, "da": 0.06, "dr": 0.06}
     imu = {"rate": 200.0, "gyro_noise": 0.02, "accelerometer_noise": 0.1}
     m = light_measured(55.0, peaks, start=30.0, sensors=imu, noise_seed=1, bank=20.0)
@@ -228,8 +228,8 @@ def test_an_excitation_after_an_autopilot_is_learned_from() -> None:
     assert last.sigma[STRUCTURE.index("qdot/de")] < 0.25 * 30.0
 
 
-def test_a_whitened_estimate_owes_nothing_to_answers() -> None:
-    """What is new in a gust comes before it is answered: the second part's sigma is its own."""
+def test_feedback_does_not_increase_the_whitened_estimates_sigma() -> None:
+    """The innovation of a gust precedes its answer, so that the whitened part is unbiased."""
     samples, gusts = fly(0.02, 0.01)
     information = Information(STRUCTURE, LAYOUT, start_from(Settings()), 0.1, 0.0, (False, False))
     rows = RowSamples.of(samples, gusts, LAYOUT)
@@ -242,8 +242,8 @@ def test_a_whitened_estimate_owes_nothing_to_answers() -> None:
     assert plain[PDOT_DA] > 5.0 * white[PDOT_DA]
 
 
-def test_a_whole_derivative_that_was_known_is_not_doubted_for_a_force() -> None:
-    """Before there are samples sigma is the prior's, whatever the side force may be."""
+def test_the_side_force_does_not_increase_a_priors_sigma() -> None:
+    """Before the first samples sigma is that of the prior."""
     start = start_from(Settings())
     values, sigma = start.values.copy(), start.sigma.copy()
     for name, value in (("rdot/dr", -4.0), ("rdot/beta", 8.0)):

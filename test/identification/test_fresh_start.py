@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight that follows on time in which the surfaces moved and nothing followed."""
+"""A flight after carrying the aircraft with moving surfaces: learning begins anew in the air."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -16,12 +16,12 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.structure import STRUCTURES
 
 CARRIED = 20.0
-"""Time in which it is carried, s."""
+"""Time of carrying before the launch, s."""
 
 FLIGHT = STRUCTURES["flight_dynamics"]
 
 
-def test_a_launch_begins_anew_where_the_newest_half_minute_tells_more() -> None:
+def test_after_a_launch_the_coefficients_are_usable_and_accurate() -> None:
     launched = carried(CARRIED, 1, flying.light_measured(80.0))
     identifier, estimates = flying.identified(launched)
     assert not any(any(e.usable_rows) for e in flying.since(estimates, 0.0, CARRIED))
@@ -29,10 +29,10 @@ def test_a_launch_begins_anew_where_the_newest_half_minute_tells_more() -> None:
     assert last.usable
     assert abs(last.coefficients[place] - TRUTH["pdot/da"]) < 3.0 * last.sigma[place]
     assert last.sigma[place] < 0.1 * TRUTH["pdot/da"]
-    assert identifier.supervisor.changed == []  # of what was carried nothing is told
+    assert identifier.supervisor.changed == []  # no change is reported
 
 
-def test_what_is_known_is_never_begun_anew() -> None:
+def test_known_coefficients_are_never_learned_anew() -> None:
     flown = flying.light_measured(80.0)
     identifier = OnlineIdentifier(flying.settings(flown))
     first = identifier.estimator
@@ -40,7 +40,7 @@ def test_what_is_known_is_never_begun_anew() -> None:
     assert identifier.estimator is first
 
 
-def test_an_estimator_of_ones_own_that_there_is_once_learns_once() -> None:
+def test_a_custom_estimator_shared_by_both_estimates_learns_once() -> None:
     flown = flying.light_measured(10.0)
     usual = flying.identified(flown)[1][-1]
     own: list[Estimator] = []
@@ -54,8 +54,8 @@ def test_an_estimator_of_ones_own_that_there_is_once_learns_once() -> None:
     np.testing.assert_array_equal(once.coefficients, usual.coefficients)
 
 
-def knowing(t_ratio: float, model_error: float = 0.0) -> Any:
-    """An estimator whose rudder derivative has this t-ratio, model errors apart."""
+def estimator_with(t_ratio: float, model_error: float = 0.0) -> Any:
+    """An estimator with this t-ratio of rdot/dr without its model error."""
     coefficients, sigma = np.zeros(FLIGHT.mask.shape), np.ones(FLIGHT.mask.shape)
     at = FLIGHT.index("rdot/dr")
     coefficients[at] = t_ratio
@@ -68,8 +68,8 @@ def knowing(t_ratio: float, model_error: float = 0.0) -> Any:
 @pytest.mark.parametrize(
     ("t_ratio", "model_error", "known"), [(3.5, 0.0, True), (3.5, 1.0, True), (2.5, 0.0, False)]
 )
-def test_a_lag_that_nobody_has_told_makes_nothing_unknown(
+def test_a_model_error_does_not_make_an_input_unknown(
     t_ratio: float, model_error: float, known: bool
 ) -> None:
-    """It is no other aircraft: there is nothing to begin anew for."""
-    assert known_inputs(knowing(t_ratio, model_error)).tolist() == [False, False, known]
+    """An unmodelled servo lag is a model error and no reason to begin anew."""
+    assert known_inputs(estimator_with(t_ratio, model_error)).tolist() == [False, False, known]

@@ -17,14 +17,14 @@ DURATION = 4.0
 
 
 def signals(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Smooth rates, their derivatives and inputs: any will do, the law needs no plant."""
+    """Return smooth rates, their derivatives and inputs; the law needs no plant."""
     w = 1.0 + 0.4 * np.arange(7)
     s = np.sin(w * t + PHASES)
     return s[:3], (w * np.cos(w * t + PHASES))[:3], s[3:]
 
 
 def equation_8(t: float, flat: np.ndarray) -> np.ndarray:
-    """Right-hand side of (8), written as printed: with both states and their difference."""
+    """Right-hand side of (8) as printed, with both states and their difference."""
     xm, a = flat[:3], flat[3:].reshape(3, 12)
     x, xdot, u = signals(t)
     f, fm = STRUCTURE.regressor(x, u), STRUCTURE.regressor(xm, u)

@@ -24,7 +24,7 @@ LEVEL = Condition(SPEED)
 
 
 def aircraft(**changes: float) -> FloatArray:
-    """Coefficients of the light aircraft, some of them changed, as ``qdot_alpha``."""
+    """Coefficients of the light aircraft with changes, named as ``qdot_alpha``."""
     named = {name.replace("_", "/"): value for name, value in changes.items()}
     return matrix(FLIGHT, TRUTH | named)
 
@@ -34,7 +34,7 @@ def found(values: FloatArray, share: float = 0.0) -> dict[str, Mode]:
     return {mode.name: mode for mode in level_modes(FLIGHT, values, sigma, SPEED)}
 
 
-def test_the_modes_are_the_eigenvalues_of_the_equations_by_hand() -> None:
+def test_the_modes_are_the_eigenvalues_of_the_equations_written_out() -> None:
     c = TRUTH
     longitudinal = np.array([[c["qdot/q"], c["qdot/alpha"]], [1.0, c["az/alpha"] / SPEED]])
     lateral = np.array([
@@ -67,7 +67,7 @@ def test_an_aircraft_without_pitch_stiffness_has_no_short_period() -> None:
 
 
 def test_two_oscillations_are_called_lateral() -> None:
-    """A roll and spiral that have coupled into a lateral phugoid."""
+    """Roll and spiral couple into a lateral phugoid."""
     own = modes(FLIGHT, aircraft(pdot_p=-0.5, pdot_r=0.0), np.zeros(FLIGHT.mask.shape), LEVEL)
     names = [mode.name for mode in own if mode.name != "short period"]
     assert names == ["lateral"] * len(names)
@@ -96,7 +96,7 @@ def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:
         np.testing.assert_allclose(given, spread, rtol=0.1, atol=1e-12)
 
 
-def test_in_a_turn_the_rate_products_count() -> None:
+def test_the_linearisation_in_a_turn_includes_the_rate_products() -> None:
     values = aircraft(pdot_qr=-0.7, qdot_pr=0.85, rdot_pq=-0.25)
     rates = (0.1, 0.3, -0.2)
     a, _ = linearise(FLIGHT, values, Condition(SPEED, rates))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The model with angle of attack and sideslip: against SciPy and its own linearisation."""
+"""The model with angle of attack and sideslip, against SciPy's solution of its equations."""
 
 import numpy as np
 import pytest
@@ -23,11 +23,11 @@ RNG = np.random.default_rng(2)
 SPEED = 18.0
 A = matrix(FLIGHT, AIRCRAFT | {"pdot/dth": 0.5, "qdot/pp": -0.1, "qdot/rr": 0.1, "rdot/qr": 0.2})
 START = np.array([0.3, -0.2, 0.1, 0.05, 0.04, 0.4, -0.1])
-"""p, q, r, beta, alpha, roll, pitch."""
+"""State: p, q, r, rad/s, beta, alpha, roll, pitch, rad."""
 
 
 def with_down(state: FloatArray) -> FloatArray:
-    """The model's own state, with the direction of down for roll and pitch."""
+    """The model's own state, with the direction of down instead of roll and pitch."""
     *first, roll, pitch = state
     level = np.cos(pitch)
     return np.array([*first, -np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level])
@@ -44,7 +44,7 @@ def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> Block:
 
 @pytest.mark.parametrize("h", [0.001, 0.005, 0.0125, 0.025])
 def test_a_run_over_a_block_is_the_solution_of_the_equations(h: float) -> None:
-    """Whatever the width of the cells; inputs change every 50 ms, where no step crosses."""
+    """The width of the cells does not matter; inputs change every 50 ms, at the edge of a step."""
     u = np.repeat(RNG.uniform(-0.1, 0.1, (20, 4)), round(0.05 / h), axis=0)
     block = block_of(u, h)
     states = IdentifiedModel(FLIGHT, np.zeros(3)).run(A, block)
@@ -55,7 +55,7 @@ def test_a_run_over_a_block_is_the_solution_of_the_equations(h: float) -> None:
         np.testing.assert_allclose(reached, with_down(state), atol=2e-5)
 
 
-def test_a_strong_leak_stays_with_what_was_measured() -> None:
+def test_a_strong_leak_keeps_the_model_near_the_measured_state() -> None:
     block = block_of(np.zeros((200, 4)), 0.005)
     model = IdentifiedModel(FLIGHT, np.zeros(3))
     free = model.run(A, block)[-1]
@@ -65,7 +65,7 @@ def test_a_strong_leak_stays_with_what_was_measured() -> None:
 
 
 @pytest.mark.parametrize("name", ["qdot/alpha", "rdot/beta"])
-def test_a_model_that_diverges_is_set_back_to_what_was_measured(name: str) -> None:
+def test_a_diverging_model_is_reset_to_the_measured_state(name: str) -> None:
     wild = A.copy()
     wild[FLIGHT.index(name)] *= -300.0
     block = block_of(np.zeros((200, 4)), 0.005)
@@ -78,8 +78,8 @@ def test_a_model_that_diverges_is_set_back_to_what_was_measured(name: str) -> No
 
 
 @pytest.mark.parametrize(("rate", "resets"), [(25.0, False), (-35.0, True)])
-def test_no_aircraft_turns_faster_than_30_radians_a_second(rate: float, resets: bool) -> None:
-    """A model that does has diverged; one that spins or rolls fast goes on."""
+def test_a_model_that_turns_faster_than_30_rad_s_is_reset(rate: float, resets: bool) -> None:
+    """A fast roll or spin is no divergence."""
     structure, h, m = STRUCTURES["augmented"], 0.005, 40
     x = np.tile([rate, 0.0, 0.0], (m + 1, 1))
     t_ns = np.arange(m + 1) * 5_000_000
@@ -90,8 +90,8 @@ def test_no_aircraft_turns_faster_than_30_radians_a_second(rate: float, resets: 
     assert (model.resets > 0) == resets
 
 
-def test_at_the_start_the_model_follows_what_is_measured_within_half_a_second() -> None:
-    """Of a step of the rates that no coefficient explains, 1/e is left then, not e^-0.1."""
+def test_at_the_start_the_leak_has_a_time_constant_of_half_a_second() -> None:
+    """A step of the rates that no coefficient explains decays to 1/e."""
     identifier = OnlineIdentifier(Settings.from_values({"structure": "augmented"}))
     identifier.supervisor.adapt = False
     step, predicted = 2.0, {}
@@ -106,7 +106,7 @@ def test_at_the_start_the_model_follows_what_is_measured_within_half_a_second() 
     assert left == pytest.approx(0.2 / np.e, rel=0.1)
 
 
-def test_a_force_row_of_nothing_leaves_no_moment_of_its_angle() -> None:
+def test_without_a_force_slope_the_angles_moments_are_zero() -> None:
     unknown = A.copy()
     unknown[FLIGHT.index("ay/beta")] = 0.0
     without_beta = unknown[[0, 2]]
@@ -115,9 +115,7 @@ def test_a_force_row_of_nothing_leaves_no_moment_of_its_angle() -> None:
 
 
 @pytest.mark.parametrize(("h", "step"), [(0.005, 0.025), (0.0125, 0.025), (0.05, 0.05)])
-def test_steps_are_of_25_ms_joined_of_shorter_cells_and_cut_of_longer(
-    h: float, step: float
-) -> None:
+def test_steps_of_25_ms_join_shorter_cells_and_split_longer_ones(h: float, step: float) -> None:
     plan = plan_steps(10, h)
     assert plan.times == pytest.approx([step] * round(10 * h / step))
     assert plan.split == round(step / 0.025)

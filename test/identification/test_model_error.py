@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A surface that is late, or does less the more is asked of it, told from one that is not."""
+"""Model error of an input: saturation, servo lag and wrong lag settings, against feedback."""
 
 import numpy as np
 import pytest
@@ -21,9 +21,9 @@ def by_aileron(
     u: np.ndarray,
     pdot: np.ndarray,
     p: np.ndarray | float = 0.0,
-    residual: np.ndarray | None = None,  # If not all of it is left
+    residual: np.ndarray | None = None,  # Residual, if not `pdot`
 ) -> RowSamples:
-    """Samples of a roll in which the aileron is asked for u."""
+    """Samples of a roll with aileron command u."""
     y, f = np.zeros((len(u), 3)), np.zeros((len(u), STRUCTURE.size))
     y[:, 0], f[:, ROLL_RATE], f[:, AILERON] = pdot, p, u
     left = y if residual is None else np.outer(residual, [1.0, 0.0, 0.0])
@@ -33,7 +33,7 @@ def by_aileron(
 def rolled(
     travel: float = 1.0, noise: float = 0.3, lag: float = 0.0, seconds: float = 60.0, seed: int = 1
 ) -> RowSamples:
-    """Samples of a roll by an aileron that travels so far, rad, of the 0.1 asked for, and lags."""
+    """Samples of a roll by an aileron with a travel, rad, for 0.1 commanded, and a servo lag, s."""
     rng = np.random.default_rng(seed)
     t = DT * np.arange(round(seconds / DT))
     u = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
@@ -49,27 +49,27 @@ def rolled(
 
 def shares(
     samples: RowSamples,
-    looked: ModelError,
+    error_model: ModelError,
     ratio: np.ndarray = OPEN_LOOP,
     settled: bool = True,
     effect: np.ndarray = KNOWN,
 ) -> np.ndarray:
-    """What is found after each two samples, (m / 2, 3)."""
+    """Return the model error after each two samples, (m / 2, 3)."""
     found = []
     for k in range(0, samples.count, 2):
         part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
-        looked.add(part, EVERYWHERE, ratio, 0.0, effect, restarted=k == 0, settled=settled)
-        found.append(looked.share)
+        error_model.add(part, EVERYWHERE, ratio, 0.0, effect, restarted=k == 0, settled=settled)
+        found.append(error_model.share)
     return np.array(found)
 
 
 def share(samples: RowSamples, ratio: np.ndarray = OPEN_LOOP) -> np.ndarray:
-    """What is found at the end."""
+    """Return the model error at the end, (3,)."""
     return np.asarray(shares(samples, ModelError(LAYOUT), ratio)[-1])
 
 
-def test_no_more_is_missing_than_all_of_an_effect() -> None:
-    """Of one that is not known yet, and that a prior holds near zero, it would be many times."""
+def test_the_model_error_is_at_most_the_whole_effect() -> None:
+    """The effect is unknown, and the prior holds it near zero."""
     found = shares(rolled(0.015), ModelError(LAYOUT), effect=1e-30 * KNOWN)[-1]
     assert found.tolist() == [1.0, 0.0, 0.0]
 
@@ -79,31 +79,31 @@ def test_no_more_is_missing_than_all_of_an_effect() -> None:
     [{"travel": 0.015}, {"travel": 0.03}, {"travel": 0.05}, {"lag": 0.08}, {"lag": 0.12}],
     ids=str,
 )
-def test_an_aileron_that_saturates_or_lags_is_found(flight: dict[str, float]) -> None:
-    """In roll alone: elevator and rudder do not move."""
+def test_a_saturated_or_lagging_aileron_has_a_model_error(flight: dict[str, float]) -> None:
+    """Elevator and rudder do not move and have none."""
     found = share(rolled(**flight))
     assert found[0] > 0.1
     assert found[1:].tolist() == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_surface_that_rests_while_its_row_learns_is_accused_of_nothing(seed: int) -> None:
-    """A minute later the newest blocks hold only what the filter has left of it, down to nothing.
+def test_a_surface_at_rest_has_no_model_error(seed: int) -> None:
+    """A minute later the newest blocks contain only the filter's exponential decay of the input.
 
-    That is an exponential, its square and its slopes: one block fits it, and leaves no scatter.
+    The decay, its square and its slopes fit a single block without scatter.
     """
     rng, t = np.random.default_rng(seed), DT * np.arange(3200)
     moves = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
     u = np.where(t < 60.0, moves, 0.05 * np.exp(-15.0 * np.maximum(t - 60.0, 0.0)))
     p = 0.1 * np.convolve(rng.normal(size=len(t)), np.ones(20) / 20.0, "same")
-    looked, noise = ModelError(LAYOUT), 0.1 * rng.normal(size=len(t))
-    found = shares(by_aileron(u, DAMPING * p + EFFECT * u + noise, p), looked)
+    error_model, noise = ModelError(LAYOUT), 0.1 * rng.normal(size=len(t))
+    found = shares(by_aileron(u, DAMPING * p + EFFECT * u + noise, p), error_model)
     assert found.max() < 0.02
-    assert looked.relative_error(KNOWN_ROWS).max() < 0.02
+    assert error_model.relative_error(KNOWN_ROWS).max() < 0.02
 
 
 def early(seconds: float = 60.0, noise: float = 0.3) -> tuple[RowSamples, float]:
-    """A lag of 0.1 s is told that is not there: the command is lagged, what acts is not."""
+    """Return samples with a configured lag of 0.1 s that the servo does not have, and the lead."""
     samples = rolled(seconds=seconds, noise=noise)
     u = samples.f[0, :, LAYOUT.main[0]]
     lagged, keep = np.zeros_like(u), np.exp(-DT / 0.1)
@@ -111,58 +111,58 @@ def early(seconds: float = 60.0, noise: float = 0.3) -> tuple[RowSamples, float]
         lagged[k] = keep * lagged[k - 1] + (1.0 - keep) * u[k]
     for regressors in (samples.f, samples.z):
         regressors[0, :, LAYOUT.main[0]] = lagged
-    ahead = keep / (1.0 - keep) * np.diff(lagged)  # u is as far ahead of it, sample by sample
+    ahead = keep / (1.0 - keep) * np.diff(lagged)  # lead of u on the lagged command, at each sample
     return samples, float(np.std(ahead) / np.std(lagged))
 
 
-def test_an_aileron_that_acts_early_counts_in_every_row() -> None:
+def test_an_early_aileron_is_a_model_error_of_every_row() -> None:
     samples, ahead = early()
-    looked = ModelError(LAYOUT)
-    assert shares(samples, looked)[-1].tolist() == [0.0, 0.0, 0.0]  # nothing is taken away
-    assert looked.relative_error(KNOWN_ROWS) == pytest.approx([ahead] * 3, rel=0.1)
-    # nobody knows whether an aileron is early of which nobody knows what it does
-    assert looked.relative_error(np.array([False, True, True])).tolist() == [0.0, 0.0, 0.0]
+    error_model = ModelError(LAYOUT)
+    assert shares(samples, error_model)[-1].tolist() == [0.0, 0.0, 0.0]  # no loss of effect
+    assert error_model.relative_error(KNOWN_ROWS) == pytest.approx([ahead] * 3, rel=0.1)
+    # an aileron of unknown effect has no known earliness
+    assert error_model.relative_error(np.array([False, True, True])).tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("settled", [True, False])
-def test_what_seemed_early_at_the_start_goes_as_soon_as_there_is_enough_without(
+def test_an_early_input_at_the_start_is_cleared_by_enough_later_samples(
     settled: bool,
 ) -> None:
-    looked = ModelError(LAYOUT)
+    error_model = ModelError(LAYOUT)
     samples, ahead = early(30.0, noise=0.1)
-    shares(samples, looked, settled=False)
-    assert looked.relative_error(KNOWN_ROWS) == pytest.approx([ahead] * 3, rel=0.1)
-    shares(rolled(seconds=20.0), looked, settled=settled)
-    assert (looked.relative_error(KNOWN_ROWS).max() < 0.01) == settled
+    shares(samples, error_model, settled=False)
+    assert error_model.relative_error(KNOWN_ROWS) == pytest.approx([ahead] * 3, rel=0.1)
+    shares(rolled(seconds=20.0), error_model, settled=settled)
+    assert (error_model.relative_error(KNOWN_ROWS).max() < 0.01) == settled
 
 
-def test_what_was_late_stays_while_nothing_is_learned() -> None:
-    looked = ModelError(LAYOUT)
-    found = shares(rolled(0.015, seconds=30.0), looked)[-1]
+def test_the_model_error_stays_while_no_row_is_learned() -> None:
+    error_model = ModelError(LAYOUT)
+    found = shares(rolled(0.015, seconds=30.0), error_model)[-1]
     quiet = rolled(seconds=2.0)
     for _ in range(60):
-        looked.add(quiet, np.zeros(3), OPEN_LOOP, 0.0, KNOWN, restarted=False)
-    assert looked.share == pytest.approx(found)
-    assert looked.share[0] > 0.1
+        error_model.add(quiet, np.zeros(3), OPEN_LOOP, 0.0, KNOWN, restarted=False)
+    assert error_model.share == pytest.approx(found)
+    assert error_model.share[0] > 0.1
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 1.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_an_aileron_that_does_as_it_is_told_is_not(noise: float, seed: int) -> None:
+def test_an_aileron_without_lag_or_saturation_has_no_model_error(noise: float, seed: int) -> None:
     assert share(rolled(noise=noise, seed=seed))[0] < 0.01
 
 
-def test_a_row_that_is_learned_anew_is_forgotten() -> None:
-    looked = ModelError(LAYOUT)
-    assert shares(rolled(0.02), looked)[-1, 0] > 0.1
-    looked.forget(0)
-    assert not looked.share[0]
-    assert not shares(rolled(), looked)[-1, 0]
+def test_a_row_that_is_learned_anew_loses_its_model_error() -> None:
+    error_model = ModelError(LAYOUT)
+    assert shares(rolled(0.02), error_model)[-1, 0] > 0.1
+    error_model.forget(0)
+    assert not error_model.share[0]
+    assert not shares(rolled(), error_model)[-1, 0]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_an_aileron_that_answers_gusts_is_not_called_late(seed: int) -> None:
-    """It looks so: it follows the gust, and takes the gust's first part for its own."""
+def test_an_aileron_that_answers_gusts_has_no_model_error(seed: int) -> None:
+    """Feedback resembles a late input: the aileron follows the gust that it correlates with."""
     rng = np.random.default_rng(seed)
     n = round(60.0 / DT)
     gusts, u = np.zeros(n), np.zeros(n)
@@ -171,12 +171,12 @@ def test_an_aileron_that_answers_gusts_is_not_called_late(seed: int) -> None:
         u[k] = 0.8 * u[k - 1] - 0.01 * gusts[k] + 0.01 * rng.normal()
     samples = by_aileron(u, EFFECT * u + gusts, residual=gusts)
     assert share(samples)[0] > 0.1
-    answers = np.array([0.5, 0.0, 0.0])
-    assert share(samples, answers).tolist() == [0.0, 0.0, 0.0]
+    feedback = np.array([0.5, 0.0, 0.0])
+    assert share(samples, feedback).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_gusts_that_roll_and_push_make_no_height_where_they_are_answered() -> None:
-    """As if the accelerometer were half a metre up."""
+def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:
+    """Gusts roll the aircraft and push it sideways, as with an accelerometer 0.5 m up."""
     rng, places = np.random.default_rng(1), layout(STRUCTURES["flight_dynamics"])
     p = np.convolve(rng.normal(size=1200), np.ones(10), "same")
     signals = np.zeros((places.rows, len(p), 2 + 2 * places.width))
@@ -187,11 +187,11 @@ def test_gusts_that_roll_and_push_make_no_height_where_they_are_answered() -> No
     )
 
     def height(roll_ratio: float) -> float:
-        looked = ModelError(places)
+        error_model = ModelError(places)
         for k in range(0, samples.count, 2):
             part = RowSamples(signals[:, k : k + 2], DT)
-            looked.add(part, EVERYWHERE, OPEN_LOOP, roll_ratio, KNOWN, restarted=k == 0)
-        return looked.height
+            error_model.add(part, EVERYWHERE, OPEN_LOOP, roll_ratio, KNOWN, restarted=k == 0)
+        return error_model.height
 
     assert height(0.0) == pytest.approx(0.5, rel=0.2)
     assert height(0.5) == 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The noise model: it finds the autoregression that is there, and whitens with it."""
+"""The noise model: the autoregression of the residuals, and whitening with it."""
 
 import numpy as np
 import pytest
@@ -31,8 +31,8 @@ def whiten(model: NoiseModel, residual: np.ndarray, restarted: bool = False) -> 
     return model.whiten(RowSamples(np.array(rows), DT), restarted=restarted)
 
 
-def test_the_autoregression_of_each_row_is_found() -> None:
-    """Averaged over several stretches of the memory: each is an estimate from that much."""
+def test_the_autoregression_of_each_row_is_estimated() -> None:
+    """Averaged over several memories: each estimate uses one."""
     model, found = NoiseModel(3), []
     for part in np.split(residuals(12_000)[0], 12_000 * DT / MEMORY):
         for pair in np.split(part, len(part) // 2):
@@ -43,18 +43,18 @@ def test_the_autoregression_of_each_row_is_found() -> None:
     np.testing.assert_allclose(variance, SPREAD**2, rtol=0.15)
 
 
-def test_a_new_stretch_does_not_continue_the_old_one() -> None:
+def test_a_new_stretch_is_whitened_without_the_old_one() -> None:
     model = NoiseModel(3)
     whiten(model, residuals(100)[0])
     weights = model.weights.copy()
     assert not whiten(model, np.ones((2, 3)), restarted=True).signals.any()
-    np.testing.assert_array_equal(model.weights, weights)  # what was learned stays
+    np.testing.assert_array_equal(model.weights, weights)  # the autoregression stays
     white = whiten(model, np.ones((2, 3)))
     assert not white.signals[:, 0].any()
     assert white.signals[:, 1].all()
 
 
-def test_the_models_are_fitted_where_it_is_time_to_look() -> None:
+def test_the_noise_model_is_fitted_every_0_3_s() -> None:
     model, residual = NoiseModel(3), residuals(400)[0]
     fits = 0
     for part in np.split(residual, 200):
@@ -66,8 +66,8 @@ def test_the_models_are_fitted_where_it_is_time_to_look() -> None:
     )  # the first two samples after LOOK_TIME
 
 
-def test_the_loading_is_a_hundredth_of_what_is_predictable() -> None:
-    """A slow sine is foretold by its past; as an innovation a hundredth of it remains."""
+def test_the_innovation_of_a_predictable_signal_is_a_hundredth_of_it() -> None:
+    """The past predicts a slow sine fully."""
     sine = np.sin(0.5 * DT * np.arange(2000))[:, None] * SPREAD
     model = NoiseModel(3)
     for part in np.split(sine, 1000):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known before a flight: each prior beside what real aircraft have."""
+"""The prior, against the derivatives of real aircraft."""
 
 from dataclasses import replace
 from typing import Any
@@ -31,34 +31,34 @@ LIFT, SIDE = sigma("az/alpha"), sigma("ay/beta")
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        # as wide as the livelest derivatives of ultra_stick_25e, a model of 1.3 m, so many times
+        # multiples of the largest derivatives of ultra_stick_25e, a model of 1.3 m
         ("pdot/p", 2 * 16.1),
         ("qdot/alpha", 3 * 102.5),
         ("pdot/da", 6 * 159.0),
-        # lift is weight, with a slope of 5 and a lift coefficient of 0.5; side force a sixth of it
+        # lift equals weight, with C_La 5 and C_L 0.5; the side force is a sixth of it
         ("az/alpha", GRAVITY * 5.0 / 0.5),
         ("ay/beta", LIFT / 6.0),
-        # a rudder turns most of what makes side force, an elevator little of the lift
+        # a rudder makes most of the side force, an elevator little of the lift
         ("ay/dr", 0.9 * 2.0 / 3.0 * SIDE),
         ("az/de", 1.6 * 0.5 * 0.2 * LIFT),
-        # a rate of turn changes the sideslip of the fin: its arm, 1.5 m, over 15 m/s
+        # a yaw rate changes the sideslip of the fin by its arm, 1.5 m, over 15 m/s
         ("ay/p", 1.5 / 15.0 * SIDE),
         ("ay/r", 1.5 / 15.0 * SIDE),
-        # kinematics miss a bias of the accelerometer, and the angle of the wing
+        # errors of the kinematics: accelerometer bias, and incidence of the wing
         ("betadot/1", 0.1 * GRAVITY / 5.0),
         ("alphadot/1", 0.1 * GRAVITY / 5.0),
         ("betadot/p", np.deg2rad(12.0)),
     ],
 )
-def test_the_prior_is_as_wide_as_real_aircraft_differ(name: str, expected: float) -> None:
+def test_the_weak_prior_covers_the_derivatives_of_real_aircraft(name: str, expected: float) -> None:
     assert sigma(name) == pytest.approx(expected, rel=0.2)
 
 
-def test_a_moment_goes_with_a_force_as_far_as_lift_is_weight() -> None:
+def test_the_prior_of_force_moments_follows_from_the_lift_slope() -> None:
     assert sigma("qdot/az", "augmented") == pytest.approx(sigma("qdot/de") / 98.0, rel=0.2)
 
 
-def test_slopes_start_where_lift_is_weight_and_have_the_sign_of_flight() -> None:
+def test_force_slopes_start_at_lift_equals_weight_and_are_bounded() -> None:
     slopes, bounds = prior.first_values(FLIGHT), prior.slope_bounds(FLIGHT)
     lift, side = FLIGHT.index("az/alpha"), FLIGHT.index("ay/beta")
     assert (slopes[lift], slopes[side]) == (-LIFT, -SIDE)
@@ -66,7 +66,7 @@ def test_slopes_start_where_lift_is_weight_and_have_the_sign_of_flight() -> None
     assert bounds[side] == pytest.approx(0.1 * slopes[side])
 
 
-def test_what_another_flight_knew_well_is_known_to_a_fifth() -> None:
+def test_well_known_coefficients_are_resumed_with_a_sigma_of_a_fifth() -> None:
     values = prior.first_values(FLIGHT)
     saved = CoefficientSet(FLIGHT.name, values, np.where(FLIGHT.mask, 1e-9, 0.0))
     known = values != 0.0
@@ -74,7 +74,7 @@ def test_what_another_flight_knew_well_is_known_to_a_fifth() -> None:
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)
-def test_a_rate_damps_itself_unless_a_measured_force_has_a_share_of_it(structure: str) -> None:
+def test_damping_is_bounded_by_zero_unless_a_measured_force_has_a_share(structure: str) -> None:
     own = STRUCTURES[structure]
     damping = tuple(zip(*(own.index(name) for name in DAMPING), strict=True))
     for free in (own.mask, own.mask & ~own.mask):
@@ -84,13 +84,13 @@ def test_a_rate_damps_itself_unless_a_measured_force_has_a_share_of_it(structure
 
 
 def added(structure: str, name: str, value: float, **more: Any) -> tuple[Information, prior.Start]:
-    """Information of samples, regressors as instruments, by coefficients of which one is given."""
+    """Information of samples with a given coefficient, with the regressors as instruments."""
     own = STRUCTURES[structure]
     problem, start = layout(own), prior.start_from(Settings(structure=structure))
     start = replace(start, free=start.free & more.pop("free", own.mask))
     rng = np.random.default_rng(1)
     regressors = rng.normal(size=(problem.rows, 400, problem.width))
-    regressors[..., 1:] += 0.3 * regressors[..., :1]  # they are told apart, and not orthogonal
+    regressors[..., 1:] += 0.3 * regressors[..., :1]  # correlated, but not collinear
     regressors *= problem.used[:, None]
     truth = np.where(problem.used, rng.uniform(-9.0, -1.0, problem.used.shape), 0.0)
     truth[(problem.place == own.index(name)).all(axis=2) & problem.used] = value
@@ -101,7 +101,7 @@ def added(structure: str, name: str, value: float, **more: Any) -> tuple[Informa
     return information, start
 
 
-def test_beyond_a_bound_is_solved_as_if_the_coefficient_were_fixed_there() -> None:
+def test_a_coefficient_beyond_its_bound_is_solved_as_fixed_at_the_bound() -> None:
     own = STRUCTURES["throttle_coupled"]
     fixed = own.mask.copy()
     fixed[own.index("pdot/p")] = False
@@ -118,9 +118,7 @@ def test_beyond_a_bound_is_solved_as_if_the_coefficient_were_fixed_there() -> No
 
 
 @pytest.mark.parametrize(("name", "held"), [("pdot/p", False), ("az/alpha", True)])
-def test_the_start_of_the_instruments_has_no_bound_but_of_what_is_divided_by(
-    name: str, held: bool
-) -> None:
+def test_while_instruments_warm_up_only_the_force_slopes_are_bounded(name: str, held: bool) -> None:
     information, start = added("flight_dynamics", name, 3.0, instrumental=(True,))
     assert information.warming_up.all()
     solution, at = information.solve(start.values), FLIGHT.index(name)

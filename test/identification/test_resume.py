@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A warm start from what a former flight has learned, and settings that change in flight."""
+"""A warm start from the coefficients of an earlier flight, and settings that change in flight."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -24,7 +24,7 @@ STRUCTURE = "throttle_coupled"
 
 @cache
 def learned() -> CoefficientSet:
-    """What the first flight has taught."""
+    """Coefficients learned in the first flight."""
     return flying.identified(flying.excited(), structure=STRUCTURE)[0].coefficient_set()
 
 
@@ -34,7 +34,7 @@ def warm(**changes: Any) -> OnlineIdentifier:
     return identifier
 
 
-def test_it_goes_on_with_the_values_as_good_as_they_were_and_is_soon_usable() -> None:
+def test_a_warm_start_keeps_its_accuracy_and_is_soon_usable() -> None:
     m = flying.measured(5.5, segments=(Segment("multisine", amplitudes=flying.AMPLITUDES, seed=7),))
     before = flying.worst_error(learned().values, m.flight)
     estimates = flying.run(warm(), flying.messages(m))
@@ -47,7 +47,7 @@ def test_it_goes_on_with_the_values_as_good_as_they_were_and_is_soon_usable() ->
     assert (last.fit > cold.fit + 5.0).all()
 
 
-def test_what_is_fixed_keeps_its_initial_value() -> None:
+def test_a_fixed_coefficient_keeps_its_initial_value() -> None:
     initial = np.zeros((3, STRUCTURES[STRUCTURE].size))
     index = STRUCTURES[STRUCTURE].index("pdot/p")
     initial[index] = -7.0
@@ -59,14 +59,14 @@ def test_what_is_fixed_keeps_its_initial_value() -> None:
     assert values[index] == learned().values[index]
 
 
-def test_the_delay_that_was_found_is_kept_only_where_it_is_estimated() -> None:
+def test_a_saved_delay_is_resumed_only_where_the_delay_is_estimated() -> None:
     for estimate, wanted in ((True, 0.06), (False, 0.02)):
         identifier = flying.fresh(actuators__estimate_delay=estimate, actuators__delay=0.02)
         identifier.resume(learned(), delay=0.06)
         assert identifier.delay == wanted
 
 
-def test_wrong_coefficients_are_refused_and_change_nothing() -> None:
+def test_wrong_coefficients_are_refused_and_change_no_value() -> None:
     identifier = flying.fresh()
     huge = replace(learned(), values=learned().values * 1e9)
     other = CoefficientSet("baseline", learned().values, learned().sigma)
@@ -76,7 +76,7 @@ def test_wrong_coefficients_are_refused_and_change_nothing() -> None:
         assert not identifier.coefficient_set().values.any()
 
 
-def test_how_it_learns_and_how_signals_are_made_may_change_and_the_coefficients_go_on() -> None:
+def test_settings_of_learning_and_signals_may_change_and_coefficients_stay() -> None:
     stream = flying.messages(flying.excited())
     half = len(stream) // 2
     before = flying.run(flown := flying.fresh(), stream[:half])[-1]
@@ -104,7 +104,7 @@ def test_how_it_learns_and_how_signals_are_made_may_change_and_the_coefficients_
     assert not np.array_equal(last.coefficients, unchanged.coefficients)
 
 
-def test_a_delay_that_is_corrected_in_flight_mends_the_coefficients() -> None:
+def test_a_delay_corrected_in_flight_corrects_the_coefficients() -> None:
     flight, stream = flying.excited().flight, flying.messages(flying.excited())
     part = len(stream) // 4
     right = flying.settings(flying.excited()).actuators.delay
@@ -128,16 +128,16 @@ def test_settings_that_may_not_change_are_refused_by_name() -> None:
     assert identifier.settings is before
 
 
-# --- a start that is wrong ------------------------------------------------------------------------
+# --- a wrong start --------------------------------------------------------------------------------
 
 
-def told(factor: float) -> CoefficientSet:
-    """The light aircraft's coefficients, moments times `factor`, with 5 % of sigma."""
+def scaled_start(factor: float) -> CoefficientSet:
+    """The light aircraft's coefficients, moments times `factor`, with a sigma of 5 %."""
     return warm_start(STRUCTURES["flight_dynamics"], TRUTH, factor)
 
 
 def turning() -> Measurements:
-    """Turns of the light aircraft, excited."""
+    """Measurements of the light aircraft in turns, excited."""
     imu = {"rate": 200.0}
     return flying.light_measured(
         45.0, flying.SURFACES, sensors=imu, noise_seed=1, bank=20.0, delay=0.02
@@ -145,9 +145,9 @@ def turning() -> Measurements:
 
 
 @pytest.mark.parametrize("factor", [0.4, 1.7])
-def test_a_start_from_another_aircraft_is_left_and_named(factor: float) -> None:
-    """All alike: what it leaves unexplained follows the inputs, as an autopilot's answers do."""
-    flown, (*_, last) = flying.identified(turning(), told(factor))
+def test_the_prior_of_another_aircraft_is_replaced_and_its_derivatives_named(factor: float) -> None:
+    """The residual by one common factor correlates with the inputs, as feedback does."""
+    flown, (*_, last) = flying.identified(turning(), scaled_start(factor))
     wrong = {change.name for change in flown.supervisor.changed}
     assert wrong == {"pdot/da", "qdot/de", "rdot/dr"}
     assert (flying.light_errors(last, *wrong)[0] < 0.1).all()
@@ -156,16 +156,16 @@ def test_a_start_from_another_aircraft_is_left_and_named(factor: float) -> None:
         assert sigma < 0.25 * abs(TRUTH[name])
 
 
-def test_the_verdict_waits_as_after_a_cold_start_where_the_start_was_wrong() -> None:
-    flown, estimates = flying.identified(turning(), told(1.7))
+def test_after_a_rejected_prior_the_verdict_waits_as_after_a_cold_start() -> None:
+    flown, estimates = flying.identified(turning(), scaled_start(1.7))
     rejected = next(change for change in flown.supervisor.changed if change.prior_rejected)
     first = rejected.t - estimates[0].t_ns * 1e-9
     assert first < 20.0
     assert not any(e.usable for e in flying.since(estimates, first + 0.1, 29.0))
 
 
-def test_a_right_start_stays_where_an_autopilot_answers_gusts() -> None:
-    """Alone the flight would find half of the aileron."""
-    flown, (*_, last) = flying.identified(flying.stiff_autopilot(60.0, seed=1), told(1.0))
+def test_a_right_prior_is_kept_under_feedback_to_gusts() -> None:
+    """With the weak prior feedback would bias pdot/da by half."""
+    flown, (*_, last) = flying.identified(flying.stiff_autopilot(60.0, seed=1), scaled_start(1.0))
     assert flown.supervisor.changed == []
     assert flying.light_errors(last, "pdot/da")[0] < 0.05

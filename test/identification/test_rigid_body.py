@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A against the rigid-body equations (9)-(11) themselves."""
+"""The coefficients A against the rigid-body equations (9)-(11) of the paper."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from uav_ident_ros.identification.structure import STRUCTURES
 
 
 def random_body(rng: np.random.Generator) -> Inertia:
-    """A body of a few masses: its inertias are possible ones by construction."""
+    """A body of a few masses, whose inertias are therefore possible ones."""
     masses = rng.uniform(0.1, 2.0, 12)
     x, y, z = rng.normal(size=(3, 12)) * np.array([[0.5], [0.8], [0.2]])
     return Inertia(
@@ -48,6 +48,6 @@ def test_impossible_inertias_are_refused() -> None:
         Inertia(1.0, 1.0, 1.0, 1.2)
 
 
-def test_unknown_derivative_is_named() -> None:
+def test_an_unknown_derivative_is_named() -> None:
     with pytest.raises(ValueError, match="'l_flap' is no moment derivative"):
         full_moments(STRUCTURES["baseline"], l_flap=1.0)

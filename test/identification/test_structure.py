@@ -7,7 +7,7 @@ import pytest
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 
 
-def test_the_papers_sparsity() -> None:
+def test_the_masks_are_those_of_the_paper() -> None:
     # Columns of the matrix after (12), with A311 for the misprinted A111.
     mask = STRUCTURES["baseline"].mask
     assert [list(np.flatnonzero(row) + 1) for row in mask] == [
@@ -19,7 +19,7 @@ def test_the_papers_sparsity() -> None:
     assert [tuple(i) for i in np.argwhere(coupled & ~mask)] == [(0, 11), (2, 11)]
 
 
-def test_regressor_by_name() -> None:
+def test_the_regressors_are_those_of_their_labels() -> None:
     structure = STRUCTURES["augmented"]
     p, q, r = 0.3, -0.7, 1.1
     u = dict(zip(INPUTS, (0.01, 0.02, 0.03, 0.4), strict=True))
@@ -27,7 +27,7 @@ def test_regressor_by_name() -> None:
     f = structure.regressor(np.array([p, q, r]), np.array(list(u.values())), np.array([-0.5, -9.0]))
     for label, value in zip(structure.regressors, f, strict=True):
         expected = values.get(label)
-        if expected is None:  # a product of two rates, like 'pq' or 'rr'
+        if expected is None:  # a product of two rates, as 'pq' or 'rr'
             expected = values[label[0]] * values[label[1]]
         assert value == expected
 
