@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The delay is found where the flight shows it, and nowhere else."""
+"""Transport delay and servo lag: estimated in excited flight, and unknown otherwise."""
 
 import math
 from dataclasses import replace
@@ -38,28 +38,28 @@ def found(flight: Flight, sensors: Sensors = NOISY, **changes: Any) -> OnlineIde
 
 
 @pytest.mark.parametrize(("delay", "lag"), [(0.15, 0.0), (0.02, 0.12)])
-def test_in_calm_air_delay_and_lag_are_found_together(delay: float, lag: float) -> None:
-    """With the lag in use."""
+def test_in_calm_air_the_delay_and_its_sum_with_the_lag_are_sure(delay: float, lag: float) -> None:
+    """The delay is that for the lag in use."""
     estimate = found(flying.plant_flight(32.0, delay=delay, time_constant=lag)).delays.estimate
     assert estimate.sure and estimate.delay == pytest.approx(delay, abs=0.015)
     assert estimate.total_sure and estimate.total == pytest.approx(delay + lag, abs=0.015)
 
 
 @pytest.mark.parametrize("rate", [20.0, 1000.0])
-def test_at_any_rate_of_the_imu(rate: float) -> None:
+def test_the_delay_is_estimated_at_any_rate_of_the_imu(rate: float) -> None:
     flight = flying.plant_flight(30.0, delay=0.06, rate=1000.0, max_step=1e-3)
     identifier = found(flight, Sensors(rate=rate, gyro_noise=0.01))
     assert identifier.delay == pytest.approx(0.06, abs=0.015)
 
 
-def test_a_wrong_start_is_corrected_in_gusts_under_an_autopilot() -> None:
+def test_a_wrong_initial_delay_is_corrected_in_gusts_under_an_autopilot() -> None:
     flight = flying.plant_flight(30.0, delay=0.06, gusts=ColouredNoise(0.3, 0.3), autopilot=True)
     assert found(flight, actuators__delay=0.2).delay == pytest.approx(0.06, abs=0.015)
 
 
 @pytest.mark.parametrize("gusts", [0.3, 1.0])
-def test_without_excitation_it_says_nothing(gusts: float) -> None:
-    """The autopilot's answers to gusts tell of the autopilot, not of the delay."""
+def test_without_excitation_the_initial_delay_stays(gusts: float) -> None:
+    """Feedback of the autopilot to gusts contains no information on the delay."""
     air = ColouredNoise(gusts, 0.3)
     flight = flying.plant_flight(30.0, segments=(), delay=0.06, gusts=air, autopilot=True)
     identifier = found(flight, actuators__delay=0.04)
@@ -67,8 +67,8 @@ def test_without_excitation_it_says_nothing(gusts: float) -> None:
     assert identifier.delay_confidence != "sure"
 
 
-def test_an_autopilot_that_answers_every_gust_leaves_the_delay_unknown() -> None:
-    """In gusts a hovering quadrotor's comes out 30 ms too long."""
+def test_the_delay_of_a_hovering_quadrotor_in_gusts_stays_unsure() -> None:
+    """Feedback biases it by 30 ms."""
     segments = (Segment("multisine", 2.0, amplitudes=AMPLITUDES, band=(0.2, 4.0)),)
     noise = ColouredNoise(0.5, 0.3)
     flight = QuadrotorFlight(segments, 30.0, 500.0, delay=0.012, gusts=noise).fly()
@@ -78,19 +78,19 @@ def test_an_autopilot_that_answers_every_gust_leaves_the_delay_unknown() -> None
     assert not estimate.sure
 
 
-def test_nothing_is_known_before_there_are_data() -> None:
+def test_the_delay_is_unknown_before_there_are_data() -> None:
     identifier = OnlineIdentifier(Settings.from_values({"actuators.estimate_delay": True}))
     assert (identifier.delay, identifier.delay_confidence) == (0.0, "none")
     assert identifier.delay_sigma == math.inf
 
 
 def flown_with(
-    delay: float, told: float, lag_told: float = 0.0, lag: float = 0.0, seconds: float = 40.0,
+    delay: float, setting: float, lag_setting: float = 0.0, lag: float = 0.0, seconds: float = 40.0,
     **changes: Any,
 ) -> tuple[OnlineIdentifier, Estimate]:  # fmt: skip
-    """Return an identifier, told a delay and a lag, after a flight with those of the servos."""
+    """Return an identifier with a configured delay and lag, after a flight with the true ones."""
     m = flying.light_measured(seconds, delay=delay, time_constant=lag)
-    values = {"actuators__delay": told, "actuators__time_constant": lag_told, **changes}
+    values = {"actuators__delay": setting, "actuators__time_constant": lag_setting, **changes}
     identifier, (*_, last) = flying.identified(m, **values)
     return identifier, last
 
@@ -99,36 +99,36 @@ def sigma_of(estimate: Estimate, name: str) -> float:
     return float(estimate.sigma[STRUCTURES["flight_dynamics"].index(name)])
 
 
-def test_a_delay_that_is_a_little_off_makes_the_rows_less_sure() -> None:
-    """Each by how fast it settles: pdot by 7 1/s times 25 ms."""
-    told, off = (flown_with(0.045, told) for told in (0.045, 0.02))
-    assert told[1].usable
+def test_a_small_delay_error_increases_sigma() -> None:
+    """The increase is the damping times the error: 7 1/s times 25 ms in pdot."""
+    setting, off = (flown_with(0.045, setting) for setting in (0.045, 0.02))
+    assert setting[1].usable
     assert off[0].delay == 0.02
     assert off[0].delay_confidence == "none"
     for name in ("pdot/da", "qdot/de"):
-        assert sigma_of(off[1], name) > 2.0 * sigma_of(told[1], name)
+        assert sigma_of(off[1], name) > 2.0 * sigma_of(setting[1], name)
     assert (flying.light_errors(off[1], "pdot/da", "qdot/de")[1] < 2.0).all()
 
 
 @pytest.mark.parametrize(
-    ("delay", "told", "lag", "words"),
+    ("delay", "setting", "lag", "expected"),
     [
         (0.14, 0.02, 0.0, "later than 'actuators.delay'"),
         (0.02, 0.08, 0.0, "earlier than 'actuators.delay'"),
         (0.02, 0.02, 0.1, "lower 'actuators.time_constant'"),
     ],
 )
-def test_no_row_is_usable_that_inputs_would_falsify_by_a_quarter(
-    delay: float, told: float, lag: float, words: str
+def test_rows_with_a_bias_of_a_quarter_by_delay_or_lag_are_not_usable(
+    delay: float, setting: float, lag: float, expected: str
 ) -> None:
-    identifier, last = flown_with(delay, told, lag)
-    assert identifier.delay == told
+    identifier, last = flown_with(delay, setting, lag)
+    assert identifier.delay == setting
     assert not any(last.usable_rows[:2])
-    assert words in last.reason
+    assert expected in last.reason
 
 
-def test_inputs_that_come_seldom_are_held_too_long_and_a_line_mends_it() -> None:
-    """'Correct their stamps' was said of commands at 10 Hz, whose stamps were right."""
+def test_infrequent_inputs_are_named_and_linear_interpolation_corrects_them() -> None:
+    """The stamps of commands at 10 Hz are right: they are not the reported cause."""
     m = flying.light_measured(50.0, delay=0.02)
     fifth = slice(None, None, 5)
     m = replace(
@@ -144,7 +144,7 @@ def test_inputs_that_come_seldom_are_held_too_long_and_a_line_mends_it() -> None
     assert (flying.light_errors(joined, "pdot/da", "qdot/de")[0] < 0.15).all()
 
 
-def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
+def test_coefficients_are_right_after_the_delay_is_corrected() -> None:
     flight = flying.plant_flight(45.0, delay=0.06)
     identifier = found(flight, Sensors(), structure="throttle_coupled")
     assert identifier.delay == pytest.approx(0.06, abs=0.005)
@@ -152,10 +152,10 @@ def test_what_was_learned_with_the_wrong_delay_does_not_stay() -> None:
     assert flying.worst_error(identifier.estimator.coefficients, flight) < 0.05
 
 
-def test_what_was_learned_with_another_delay_counts_for_a_second() -> None:
-    """Its sigma grows by the root of that and a little, since few seconds have told the scatter.
+def test_data_with_another_delay_count_for_a_second() -> None:
+    """Sigma grows by the root of the discount, and more: few seconds determine the scatter.
 
-    The value stays until there are new data: a tick is none.
+    The value stays until there are new data.
     """
     m = measure(flying.plant_flight(25.0, delay=0.06), NOISY)
     flown = OnlineIdentifier(
@@ -165,25 +165,25 @@ def test_what_was_learned_with_another_delay_counts_for_a_second() -> None:
     for message in flying.messages(m):
         kept += [(flown.delay > 0.0, e) for e in flying.run(flown, [message])]
     first = [after for after, _ in kept].index(True)
-    (_, before), (_, after) = kept[first], kept[first + 1]  # forgotten behind the tick
-    grown = np.sqrt((before.t_ns - kept[0][1].t_ns) * 1e-9)  # learned from the start on
+    (_, before), (_, after) = kept[first], kept[first + 1]  # discounted after the tick
+    grown = np.sqrt((before.t_ns - kept[0][1].t_ns) * 1e-9)  # learned since the start
     assert 1.0 < after.sigma[damping] / before.sigma[damping] / grown < 1.4
     assert after.coefficients[damping] == pytest.approx(before.coefficients[damping], rel=0.02)
 
 
-def test_the_model_s_own_error_with_the_wrong_delay_is_forgotten() -> None:
-    """A rudder that came 0.12 s late by then is known again within twenty seconds."""
+def test_the_model_error_by_a_wrong_delay_is_cleared() -> None:
+    """A rudder with a delay error of 0.12 s is known within 20 s."""
     identifier, last = flown_with(0.14, 0.02, seconds=52.0, actuators__estimate_delay=True)
     assert identifier.delay == pytest.approx(0.14, abs=0.015)
     assert sigma_of(last, "rdot/dr") < 0.15 * 9.0
     assert flying.light_errors(last, "rdot/dr")[1] < 2.0
 
 
-def test_a_lag_that_a_delay_stands_for_makes_the_quick_axes_unsure() -> None:
-    """It takes from an aileron what no delay does, and predicts no better."""
+def test_a_lag_not_separated_from_the_delay_increases_sigma() -> None:
+    """It reduces the aileron's effect more than a delay does; the predictions are alike."""
     (hidden, unsure), (_, last) = (
-        flown_with(0.02, 0.02, told, 0.12, 60.0, actuators__estimate_delay=True)
-        for told in (0.0, 0.12)
+        flown_with(0.02, 0.02, setting, 0.12, 60.0, actuators__estimate_delay=True)
+        for setting in (0.0, 0.12)
     )
     assert hidden.delay_confidence == "sure"
     share, sigmas = flying.light_errors(unsure, "pdot/da")
@@ -211,15 +211,15 @@ def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:
     assert (identifier.delay, identifier.delay_confidence) == (0.0, "none")
 
 
-def test_small_differences_are_left_alone() -> None:
+def test_delay_errors_within_two_sigma_count_as_zero() -> None:
     estimate = delay.judge(curve(0.11), DELAYS)
     near = 2.0 * estimate.sigma
     assert estimate.off(estimate.delay - 0.9 * near) == 0.0
     assert estimate.off(estimate.delay - 1.1 * near) == pytest.approx(1.1 * near)
 
 
-def test_quiet_flight_is_left_out_unless_something_is_injected() -> None:
-    """As if the rates came before the inputs: they are answers."""
+def test_quiet_flight_is_left_out_unless_signals_are_injected() -> None:
+    """The inputs follow the rates, as feedback does."""
     h, cells = 0.01, 6000
     rng = np.random.default_rng(1)
     t = np.arange(cells + 1) * 10_000_000
@@ -227,7 +227,7 @@ def test_quiet_flight_is_left_out_unless_something_is_injected() -> None:
     u = np.hstack((x[:-1], np.zeros((cells, 1))))
     force = np.zeros((cells + 1, 3))
 
-    def judged(*, excited: bool, injected: float) -> int:
+    def blocks_scored(*, excited: bool, injected: float) -> int:
         bank = delay.DelayBank(0.3)
         for k in range(0, cells, 50):
             own, edges = slice(k, k + 50), slice(k, k + 51)
@@ -236,13 +236,13 @@ def test_quiet_flight_is_left_out_unless_something_is_injected() -> None:
             bank.add(block, 0.0, excited)
         return len(bank._errors)
 
-    assert judged(excited=True, injected=0.0) > delay.FEWEST_BLOCKS
-    assert judged(excited=False, injected=0.1) > delay.FEWEST_BLOCKS
-    assert judged(excited=False, injected=0.0) == 0
+    assert blocks_scored(excited=True, injected=0.0) > delay.FEWEST_BLOCKS
+    assert blocks_scored(excited=False, injected=0.1) > delay.FEWEST_BLOCKS
+    assert blocks_scored(excited=False, injected=0.0) == 0
 
 
-def test_a_vibration_beyond_the_steps_of_the_bank_accuses_no_delay() -> None:
-    """At 40 Hz of steps 50 Hz looked like 10 Hz: 'the inputs act 20 ms later' was said."""
+def test_a_vibration_does_not_alias_to_a_delay() -> None:
+    """In steps at 40 Hz, 50 Hz would alias to 10 Hz and bias the delay by 20 ms."""
     m = flying.light_measured(60.0, rate=1000.0, sensors={"rate": 250.0}, delay=0.02)
     t = (m.imu_t_ns - m.imu_t_ns[0]) * 1e-9
     phases = np.cumsum(np.random.default_rng(5).normal(0.0, 0.1, len(t)))
@@ -253,18 +253,18 @@ def test_a_vibration_beyond_the_steps_of_the_bank_accuses_no_delay() -> None:
     assert not any("the inputs act" in e.reason for e in estimates)
 
 
-def test_the_delay_rests_when_the_excitation_ends() -> None:
+def test_the_delay_estimate_stays_when_the_excitation_ends() -> None:
     segments = (Segment("multisine", 0.0, 40.0, flying.AMPLITUDES, seed=1),)
     air = ColouredNoise(0.3, 0.3)
     flight = flying.plant_flight(75.0, segments=segments, delay=0.06, gusts=air, autopilot=True)
     m = measure(flight, NOISY)
     identifier = OnlineIdentifier(flying.settings(m, **UNKNOWN))
-    start, looks = int(m.imu_t_ns[0]), []
+    start, costs = int(m.imu_t_ns[0]), []
     for after, until in ((0.0, 50.0), (50.0, 75.0)):
         part = [m for m in flying.messages(m) if after <= (m.t_ns - start) * 1e-9 < until]
         flying.run(identifier, part)
-        looks.append(identifier.delays.errors)
-    np.testing.assert_array_equal(*looks)
+        costs.append(identifier.delays.errors)
+    np.testing.assert_array_equal(*costs)
     assert identifier.delay == pytest.approx(0.06, abs=0.015)
 
 
@@ -274,14 +274,14 @@ def curve(
     noise: float = 0.01,
     delays: FloatArray = DELAYS,
 ) -> FloatArray:
-    """Errors of blocks, (B, L, J, 3), least at `best`; longer lags predict worse."""
+    """Squared errors of blocks, (B, L, J, 3), least at `best`; longer lags predict worse."""
     rng, lags = np.random.default_rng(2), len(delay.LAGS)
     bowl = ((delays - np.reshape(best, (-1, 1))) / 0.1) ** 2 + lag_cost * np.arange(lags)[:, None]
     chance = rng.normal(size=(2 * delay.FEWEST_BLOCKS, lags, len(delays), 3))
     return np.asarray(np.exp(bowl[:, :, None] + noise * chance))
 
 
-def test_the_minimum_of_the_curve_is_the_delay_unless_it_is_flat_or_at_an_end() -> None:
+def test_the_delay_is_the_minimum_and_unsure_if_flat_or_at_an_end() -> None:
     estimate = delay.judge(curve(0.11), DELAYS)
     assert estimate.total_sure
     assert estimate.delay == pytest.approx(0.11, abs=2.0 * delay.SYSTEMATIC_ERROR)
@@ -292,52 +292,50 @@ def test_the_minimum_of_the_curve_is_the_delay_unless_it_is_flat_or_at_an_end() 
         assert not delay.judge(curve(beyond), DELAYS).sure
 
 
-def test_one_block_that_nothing_predicts_outweighs_no_other() -> None:
+def test_a_block_with_huge_errors_counts_as_one_block() -> None:
     blocks = np.concatenate([curve(0.11)] * 4)
-    take_off = 1e3 * curve(0.02)[:1]  # larger than all others together, and least elsewhere
+    take_off = 1e3 * curve(0.02)[:1]  # larger than all others together, with another minimum
     estimate = delay.judge(np.concatenate((take_off, blocks)), DELAYS)
     assert estimate.sure
     assert estimate.delay == pytest.approx(0.11, abs=estimate.sigma)
 
 
-def test_answers_make_the_delay_as_unsure_as_the_motion_is_unexplained() -> None:
+def test_feedback_increases_the_delays_sigma_by_the_unexplained_share() -> None:
     errors = curve(0.11)
     share = np.sqrt((1.0 / errors.sum(axis=0)[0].max(axis=0)).mean() * errors[:, 0].shape[0])
-    plain, answered = (delay.judge(errors, DELAYS, opposed=o).sigma for o in (False, True))
-    assert math.sqrt(answered**2 - plain**2) == pytest.approx(ANSWER_TIMES[0] * share, rel=0.1)
+    plain, with_feedback = (delay.judge(errors, DELAYS, opposed=o).sigma for o in (False, True))
+    assert math.sqrt(with_feedback**2 - plain**2) == pytest.approx(ANSWER_TIMES[0] * share, rel=0.1)
 
 
 @pytest.mark.parametrize(
-    ("best", "opposed", "told"), [(-0.03, False, True), (-0.03, True, False), (0.05, True, True)]
+    ("best", "opposed", "known"), [(-0.03, False, True), (-0.03, True, False), (0.05, True, True)]
 )
-def test_answers_that_come_after_the_motion_are_no_early_inputs(
-    best: float, opposed: bool, told: bool
+def test_a_negative_delay_with_feedback_is_not_sure(
+    best: float, opposed: bool, known: bool
 ) -> None:
     early = delay.STEP * np.arange(-6, 13)
     estimate = delay.judge(curve(best, 0.0, delays=early), early, opposed=opposed)
-    assert estimate.sure == told
-    assert bool(estimate.off(0.2)) == told
+    assert estimate.sure == known
+    assert bool(estimate.off(0.2)) == known
 
 
-@pytest.mark.parametrize(("total", "told"), [(0.015, True), (0.2, False)])
-def test_no_lag_is_possible_that_needs_inputs_before_they_are_given(
-    total: float, told: bool
-) -> None:
-    """All lags predict alike, each with the delay that leaves the sum as it is."""
+@pytest.mark.parametrize(("total", "known"), [(0.015, True), (0.2, False)])
+def test_lags_that_need_a_negative_delay_are_excluded(total: float, known: bool) -> None:
+    """All lags predict alike, each with the delay for the same sum."""
     delays = delay.STEP * np.arange(-8, 13)
     estimate = delay.judge(curve(total - np.array(delay.LAGS), 0.0, delays=delays), delays)
     assert estimate.total == pytest.approx(total, abs=delay.SYSTEMATIC_ERROR)
-    assert (estimate.hidden < 0.5 * delay.SURE_SIGMA) == told
+    assert (estimate.hidden < 0.5 * delay.SURE_SIGMA) == known
 
 
-def test_lags_that_predict_alike_leave_their_sum_with_the_delay_unknown() -> None:
+def test_lags_that_predict_alike_leave_the_sum_of_lag_and_delay_unsure() -> None:
     given = delay.judge(curve(0.11, lag_cost=0.3 * delay.ALIKE), DELAYS)
     assert given.sure and not given.total_sure
     assert given.total_sigma > 0.04
 
 
-def test_a_lag_that_costs_two_points_of_the_fit_has_a_third_of_the_odds() -> None:
-    """Of a fit of 50 %: the squared error is 8 % larger, and larger again for twice the lag."""
+def test_a_lag_that_costs_two_points_of_the_fit_has_odds_of_1_to_e() -> None:
+    """At a fit of 50 % the squared error is 8 % larger; twice the lag costs as much again."""
     cost = 2.0 * math.log(0.52 / 0.5)
     odds = np.exp(-np.arange(len(delay.LAGS)))
     hidden = math.sqrt(odds @ np.square(delay.LAGS) / odds.sum())
@@ -347,13 +345,13 @@ def test_a_lag_that_costs_two_points_of_the_fit_has_a_third_of_the_odds() -> Non
 
 
 @pytest.mark.parametrize(("rise", "sure"), [(3.0, False), (7.0, True)])
-def test_a_wrong_delay_is_one_that_is_off_by_75_milliseconds(rise: float, sure: bool) -> None:
-    """That far from the least error it must be clearly larger; a step off it hardly is."""
+def test_the_errors_must_rise_clearly_within_75_ms_of_the_minimum(rise: float, sure: bool) -> None:
+    """A single step of the grid changes the errors too little."""
     delays = 0.025 * np.arange(-4, 17)
     distance = delays - 0.15
     blocks = np.zeros((24, len(delay.LAGS), len(delays), 3))
     chance = np.random.default_rng(1).normal(size=(24, 1, 1, 1))
-    chance = (chance - chance.mean()) / chance.std() * math.sqrt(23)  # a mean has a sigma of one
+    chance = (chance - chance.mean()) / chance.std() * math.sqrt(23)  # sigma of the mean: 1
     blocks += (rise + chance) * (distance / 0.075)[:, None] ** 2
     blocks += 30.0 * np.arange(len(delay.LAGS))[:, None, None]
     estimate = delay.judge(np.exp(0.1 * blocks), delays)
@@ -362,7 +360,7 @@ def test_a_wrong_delay_is_one_that_is_off_by_75_milliseconds(rise: float, sure: 
 
 
 @pytest.mark.skipif(not REAL_FLIGHT.exists(), reason=f"there is no {REAL_FLIGHT.name}")
-def test_the_real_flight_has_80_to_120_milliseconds() -> None:
+def test_the_delay_of_the_recorded_flight_is_80_to_120_ms() -> None:
     with Bag(REAL_FLIGHT) as bag:
         flown = OfflineRun(choose_inputs(bag, {"actuators.estimate_delay": True}))
         flown.run(bag, lambda messages, _: (m for m in messages if m.log_ns < bag.start_ns + 9e10))

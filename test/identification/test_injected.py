@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was injected, on the grid beside the inputs: the same delay, the same lag, exact means."""
+"""Injected signals on the grid of the inputs: the same delay, the same lag, exact means."""
 
 import random
 
@@ -49,7 +49,7 @@ def cells(target: Sampler) -> tuple[FloatArray, FloatArray, FloatArray | None]:
 
 @pytest.mark.parametrize("time_constant", [0.0, 0.06])
 def test_excitation_is_delayed_lagged_and_averaged_as_the_inputs(time_constant: float) -> None:
-    """Inputs that consist of nothing else must come out the same, cell by cell."""
+    """Inputs that consist of the injected signals alone equal them, cell by cell."""
     rng = np.random.default_rng(0)
     values = rng.normal(size=(len(INPUTS_NS), 4))
     target = sampler(actuators__delay=0.043, actuators__time_constant=time_constant)
@@ -62,7 +62,7 @@ def test_excitation_is_delayed_lagged_and_averaged_as_the_inputs(time_constant: 
     np.testing.assert_allclose(excitation, u, atol=1e-12)
 
 
-def test_excitation_is_none_before_the_first_message_and_zero_after_the_timeout() -> None:
+def test_excitation_is_none_before_its_first_message_and_zero_after_timeout() -> None:
     target = sampler()
     add_rates(target, RATES_NS)
     add_inputs(target, INPUTS_NS)
@@ -88,7 +88,7 @@ def identifier_over(stream: list[tuple[str, int, tuple[float, ...]]]) -> OnlineI
     return identifier
 
 
-def test_a_message_cancels_what_was_scheduled_later() -> None:
+def test_a_message_cancels_values_scheduled_after_it() -> None:
     identifier = OnlineIdentifier(Settings())
     buffer = identifier.sampler.injected
     for k in range(4):
@@ -99,7 +99,7 @@ def test_a_message_cancels_what_was_scheduled_later() -> None:
     assert not buffer.v[-1].any()
 
 
-def test_a_late_message_counts_from_the_next_tick_on() -> None:
+def test_a_late_excitation_message_counts_from_the_next_tick_on() -> None:
     stream = [("rates", int(t), (0.0, 0.0, 0.0)) for t in RATES_NS[:200]]
     stream.insert(100, ("excitation", 500 * MS, (0.1,) * 4))
     identifier = identifier_over(stream)
@@ -117,7 +117,7 @@ def test_a_late_message_counts_from_the_next_tick_on() -> None:
         (9000 * MS, (0.1,) * 4, Drop.CLOCK_MISMATCH),
     ],
 )
-def test_bad_excitation_is_dropped_and_counted(
+def test_invalid_excitation_is_dropped_and_counted(
     t_ns: int, values: tuple[float, ...], drop: Drop
 ) -> None:
     identifier = OnlineIdentifier(Settings())
@@ -126,7 +126,7 @@ def test_bad_excitation_is_dropped_and_counted(
     assert identifier.intake.drops[EXCITATION] == {drop: 1}
 
 
-def test_zero_excitation_leaves_the_estimate_alone() -> None:
+def test_zero_excitation_does_not_change_the_coefficients() -> None:
     rng = random.Random(0)
     plain = [("rates", int(t), (rng.gauss(0, 0.1), 0.0, 0.0)) for t in RATES_NS]
     plain += [("actuators", int(t), (0.0, 0.0, rng.gauss(0, 0.1), 0.0)) for t in INPUTS_NS]
@@ -138,7 +138,7 @@ def test_zero_excitation_leaves_the_estimate_alone() -> None:
 
 
 def test_a_second_of_a_poor_model_does_not_outweigh_a_minute() -> None:
-    """Its response to what is injected is thirty times that of the aircraft, in a gust."""
+    """In a gust the instruments are thirty times the aircraft's response to the injection."""
     rng = np.random.default_rng(1)
     estimator = RecursiveRegression(start_from(Settings()), Settings(), instrumental=True)
     structure, dt = STRUCTURES["flight_dynamics"], 0.05
@@ -162,24 +162,24 @@ def test_a_second_of_a_poor_model_does_not_outweigh_a_minute() -> None:
     assert estimator.coefficients[structure.index("pdot/p")] == pytest.approx(-5.0, rel=0.05)
 
 
-def test_the_answer_to_what_was_injected_counts_for_two_seconds() -> None:
-    """A few periods of the short modes; then the instruments follow all inputs again."""
+def test_the_response_to_injected_signals_lasts_two_seconds() -> None:
+    """After a few periods of the short modes the instruments follow all inputs again."""
     structure = STRUCTURES["augmented"]
     model, still = ParallelModel(Settings(), structure), np.zeros((11, 3))
-    answers = []
+    injected_only = []
     for k in range(100):
         excitation = np.full((10, 4), 0.1 if k < 20 else 0.0)
         t_ns = (10 * k + np.arange(11)) * 5 * MS
         block = Block(t_ns, 0.005, still, excitation, still, k == 0, excitation)
-        answers.append(model.follow(block, np.zeros(structure.mask.shape), None, 0.0)[1])
-    assert answers[:20] == [True] * 20
-    assert sum(answers[20:]) * 0.05 == pytest.approx(2.0, abs=0.06)
+        injected_only.append(model.follow(block, np.zeros(structure.mask.shape), None, 0.0)[1])
+    assert injected_only[:20] == [True] * 20
+    assert sum(injected_only[20:]) * 0.05 == pytest.approx(2.0, abs=0.06)
 
 
 def excited(gust: float, seed: int, start: float = 10.0) -> list[Estimate]:
-    """The light aircraft on its autopilot, excited from `start`, s; injected from the tenth second.
+    """Estimates of the light aircraft on its autopilot, excited from `start`, s.
 
-    What is added before that is not told.
+    The injected signals are published from the tenth second on.
     """
     peaks = {"de": 0.08, "dr": 0.08, "da": 0.08}
     segment = Segment("multisine", start, 17.0, peaks, 10.0, (0.2, 2.0), seed=seed)
@@ -188,15 +188,15 @@ def excited(gust: float, seed: int, start: float = 10.0) -> list[Estimate]:
     return identified(m, stream=with_injected(m, after=10.0))[1]
 
 
-def test_an_excitation_is_not_held_back_by_what_an_autopilot_told_before() -> None:
-    """It said that nothing damps a roll: instruments of such a response leave 40 % after 5 s."""
+def test_an_excitation_corrects_estimates_from_feedback_within_five_seconds() -> None:
+    """Feedback biases the roll damping to zero; instruments of that model leave 40 % after 5 s."""
     place = STRUCTURES["flight_dynamics"].index("pdot/da")
     found = np.array([excited(0.8, seed)[300].coefficients[place] for seed in range(1, 7)])
     assert np.sqrt(np.mean((found / TRUTH["pdot/da"] - 1.0) ** 2)) < 0.25
 
 
-def test_what_a_flight_told_for_sure_is_kept_where_an_excitation_is_told_late() -> None:
-    """Excited from the second second on: no row begins anew in the tenth."""
+def test_known_coefficients_stay_when_the_excitation_is_published_late() -> None:
+    """Excited from 2 s on: no row begins anew at 10 s."""
     place = STRUCTURES["flight_dynamics"].index("qdot/de")
     sigma = [e.sigma[place] for e in excited(0.3, 1, start=2.0)]
     before, after = sigma[round(20 * 9.5)], max(sigma[round(20 * 10.2) : round(20 * 11.0)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Delay and lag by the response to what is injected: right in gusts, unknown without a response."""
+"""Delay and lag from the response to injected signals: right in gusts, unknown without one."""
 
 import math
 from typing import Any
@@ -21,10 +21,10 @@ FINE = 5
 """Steps of integration in a step of the grid."""
 
 
-def answered(
+def closed_loop(
     delay: float, lag: float, gusts: float = 0.0, feedback: float = 0.3, peak: float = 0.1
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rates and forces, inputs and what was injected, of three axes of first order."""
+    """Return rates and forces, inputs and injected signals, of three first-order axes."""
     h, rng = STEP / FINE, np.random.default_rng(1)
     peaks = dict.fromkeys(("de", "dr", "da"), peak)
     segment = Segment("multisine", 0.0, 40.0, peaks, 10.0, (0.2, 4.0), seed=1)
@@ -48,7 +48,7 @@ def answered(
 def found(
     x: FloatArray, u: FloatArray, injected: FloatArray, lag: float = 0.0, **search: Any
 ) -> Found | None:
-    """Search as the bank does."""
+    """Search delay and lag as the bank of models does."""
     response = InjectedResponse()
     for k in range(0, len(u) - 200 + 1, 200):
         own = slice(k, k + 200)
@@ -64,10 +64,10 @@ def found(
 
 @pytest.mark.parametrize("gusts", [0.0, 0.5])
 @pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.1, 0.0), (0.06, 0.06), (0.02, 0.08)])
-def test_delay_and_lag_are_told_in_the_loop_and_in_gusts(
+def test_delay_and_lag_are_estimated_in_closed_loop_and_in_gusts(
     delay: float, lag: float, gusts: float
 ) -> None:
-    by = found(*answered(delay, lag, gusts))
+    by = found(*closed_loop(delay, lag, gusts))
     assert by is not None
     own, sigma = by.lag
     assert abs(by.total - delay - lag) < 3.0 * math.hypot(by.covariance[0, 0] ** 0.5, 0.004)
@@ -75,36 +75,36 @@ def test_delay_and_lag_are_told_in_the_loop_and_in_gusts(
     assert by_injection(by, by, 0.0).total_sure
 
 
-def test_the_lag_in_use_is_undone_and_a_given_one_leaves_its_delay() -> None:
-    x, u, injected = answered(0.04, 0.06)
+def test_the_lag_in_use_is_removed_and_a_given_lag_determines_the_delay() -> None:
+    x, u, injected = closed_loop(0.04, 0.06)
     keep = math.exp(-STEP / 0.06)
     slow = u.copy()
     for k in range(1, len(u)):
         slow[k] = keep * slow[k - 1] + (1.0 - keep) * u[k]
     plain, undone = found(x, u, injected), found(x, slow, injected, lag=0.06)
-    given = found(x, u, injected, lags=(0.06,))
-    assert plain and undone and given
-    # steps held and steps that decay differ by half a step
+    with_lag = found(x, u, injected, lags=(0.06,))
+    assert plain and undone and with_lag
+    # held inputs and decaying ones differ by half a step
     assert undone.total == pytest.approx(plain.total, abs=0.7 * STEP)
     assert undone.lag[0] == pytest.approx(plain.lag[0], abs=0.01)
-    estimate = by_injection(plain, given, 0.06)
+    estimate = by_injection(plain, with_lag, 0.06)
     assert estimate.delay == pytest.approx(0.04, abs=SYSTEMATIC_ERROR)
     assert estimate.lag_sure and estimate.lag == pytest.approx(0.06, abs=SYSTEMATIC_ERROR)
-    assert given.lag == (pytest.approx(0.06), 0.0)
+    assert with_lag.lag == (pytest.approx(0.06), 0.0)
 
 
 @pytest.mark.parametrize("gusts", [0.1, 5.0])
-def test_what_was_never_injected_tells_nothing(gusts: float) -> None:
-    """An autopilot that ignores what it is asked for answers gusts all the same."""
-    x, u, _ = answered(0.06, 0.0, gusts, peak=0.0)
-    by = found(x, u, answered(0.0, 0.0)[2])
+def test_signals_that_were_not_injected_leave_delay_and_lag_unsure(gusts: float) -> None:
+    """The autopilot ignores the excitation messages; its inputs are feedback to gusts."""
+    x, u, _ = closed_loop(0.06, 0.0, gusts, peak=0.0)
+    by = found(x, u, closed_loop(0.0, 0.0)[2])
     assert by is None or not by_injection(by, by, 0.0).sure
 
 
 def hovering(
-    lag: float, gusts: float, in_use: float, told_it: bool = True, **changes: Any
+    lag: float, gusts: float, in_use: float, published: bool = True, **changes: Any
 ) -> OnlineIdentifier:
-    """Return an identifier after a hover with excitation in gusts."""
+    """Return an identifier after an excited hover in gusts."""
     peaks = {"de": 0.02, "dr": 0.05, "da": 0.02}
     segments = (Segment("multisine", 2.0, 38.0, peaks, 10.0, (0.2, 4.0), seed=1),)
     noise = ColouredNoise(gusts, 0.3)
@@ -113,30 +113,30 @@ def hovering(
     )
     m = measure(flight, Sensors(rate=100.0, gyro_noise=0.01))
     own = {"actuators__delay": 0.0, "actuators__time_constant": in_use, **changes}
-    return identified(m, stream=with_injected(m) if told_it else None, **own)[0]
+    return identified(m, stream=with_injected(m) if published else None, **own)[0]
 
 
 @pytest.mark.parametrize("in_use", [0.0, 0.08])
-def test_the_lag_of_motors_is_found_in_hover_in_gusts(in_use: float) -> None:
-    """Where prediction is 50 ms off, and says that it does not know."""
+def test_the_lag_of_motors_is_estimated_in_hover_in_gusts(in_use: float) -> None:
+    """Without the injected signals the lag stays unsure; prediction is 50 ms off."""
     estimate = hovering(0.05, 0.5, in_use).delays.estimate
     assert estimate.lag_sure and estimate.lag == pytest.approx(0.05, rel=0.15)
     assert estimate.total == pytest.approx(0.062, abs=0.015)
     assert estimate.lag_off(0.05) == 0.0 and estimate.lag_off(in_use)
-    assert not hovering(0.05, 0.5, in_use, told_it=False).delays.estimate.lag_sure
+    assert not hovering(0.05, 0.5, in_use, published=False).delays.estimate.lag_sure
 
 
-def test_a_lag_that_is_found_is_used_where_the_delay_is_to_be_found() -> None:
-    """The derivatives are then those of the quadrotor."""
-    told = hovering(0.05, 0.1, 0.0)
-    assert (told.delay, told.lag) == (0.0, 0.0)
+def test_an_estimated_lag_is_used_where_the_delay_is_estimated() -> None:
+    """The control derivatives are then those of the quadrotor."""
+    fixed = hovering(0.05, 0.1, 0.0)
+    assert (fixed.delay, fixed.lag) == (0.0, 0.0)
     found = hovering(0.05, 0.1, 0.0, actuators__estimate_delay=True)
     assert found.lag == pytest.approx(0.05, rel=0.15)
     assert found.delay + found.lag == pytest.approx(0.062, abs=0.005)
     names, true = found.structure, Body().derivatives()
     learned = found.coefficient_set()
     roll = learned.values[names.index("pdot/da")]
-    assert roll == pytest.approx(true["pdot/da"], rel=0.15)  # with no lag 20 % are missing
+    assert roll == pytest.approx(true["pdot/da"], rel=0.15)  # without the lag 20 % too small
     for name in ("pdot/da", "qdot/de", "rdot/dr"):
         error = abs(learned.values[names.index(name)] - true[name])
         assert error < 2.0 * learned.sigma[names.index(name)], name
@@ -148,23 +148,23 @@ def test_a_lag_that_is_found_is_used_where_the_delay_is_to_be_found() -> None:
 
 
 @pytest.mark.parametrize(("lag", "usable"), [(0.0, True), (0.07, False)])
-def test_a_short_lag_that_the_sum_leaves_open_denies_no_row(lag: float, usable: bool) -> None:
-    """A lag and as much of delay differ in second order: 'not separated' was said all flight."""
+def test_only_a_long_unseparated_lag_makes_the_rows_unusable(lag: float, usable: bool) -> None:
+    """Lag and delay of the same length differ to second order."""
     m = light_measured(60.0, bank=20.0, delay=0.02, time_constant=lag)
-    given = {"actuators__time_constant": 0.0, "actuators__estimate_delay": True}
-    identifier, (*_, last) = identified(m, stream=with_injected(m), **given)
+    configured = {"actuators__time_constant": 0.0, "actuators__estimate_delay": True}
+    identifier, (*_, last) = identified(m, stream=with_injected(m), **configured)
     assert identifier.delays.estimate.from_injected
     assert identifier.lag == 0.0 and last.usable == usable, last.reason
     _, sigmas = light_errors(last, "pdot/da", "qdot/de", "rdot/dr")
     assert (sigmas < 2.0).all()
 
 
-def test_no_lag_in_use_is_longer_than_the_sum() -> None:
-    """Two thirds too much of the aileron was usable for half of the flight."""
+def test_the_lag_in_use_is_at_most_the_sum_of_lag_and_delay() -> None:
+    """A lag of 0.05 s without such a servo would bias pdot/da by two thirds."""
     m = light_measured(60.0, bank=20.0, delay=0.02, seed=4)
-    told = {"actuators__time_constant": 0.05, "actuators__delay": 0.0}
-    given = told | {"actuators__estimate_delay": True}
-    identifier, (*_, last) = identified(m, stream=with_injected(m), **given)
+    fixed = {"actuators__time_constant": 0.05, "actuators__delay": 0.0}
+    configured = fixed | {"actuators__estimate_delay": True}
+    identifier, (*_, last) = identified(m, stream=with_injected(m), **configured)
     assert identifier.lag < 0.035
     relative, _ = light_errors(last, "pdot/da")
     assert (relative < 0.25).all()
