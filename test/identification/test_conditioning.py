@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From messages to coefficients: what must not matter does not, and nothing is lost."""
+"""From messages to coefficients: gaps, bounded memory, and independence of the sensors."""
 
 from dataclasses import replace
 from typing import Any
@@ -17,7 +17,7 @@ from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import vehicle
 
-# Known inertias: rate products that still converge would drift through the gap.
+# Inertias are known: rate products that still converge would drift during the gap.
 BODY = vehicle("small_uav").inertia
 assert BODY is not None
 INERTIA = (BODY.ix, BODY.iy, BODY.iz, BODY.ixz)
@@ -28,7 +28,7 @@ S = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def calm_flight() -> Flight:
-    """A flight without disturbances, sampled so that every Imu rate is the same flight."""
+    """A flight without gusts at 1 kHz, from which every Imu rate is sampled."""
     return plant_flight(20.0, force=ColouredNoise(0.3, 0.5), rate=1000.0, max_step=1e-3)
 
 
@@ -38,7 +38,7 @@ def calm_flight() -> Flight:
 @pytest.mark.parametrize(
     ("lost", "gap", "limit"),
     [
-        # Lost rates are seen at once; lost inputs only after a while, in which they are held.
+        # A gap in the rates is detected at once; inputs are held for a while first.
         ("rates", 0.5, 2e-3),
         ("actuators", 0.5, 4e-2),
         ("actuators", 3.0, 4e-2),
@@ -47,7 +47,7 @@ def calm_flight() -> Flight:
     ],
 )
 def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str, limit: float) -> None:
-    """No transient of the filters enters: without noise, the coefficients stay."""
+    """Without noise any jump would come from a transient of the filters."""
     m = measure(calm_flight, Sensors())
     start = int(m.imu_t_ns[0]) + 12 * S
     end = start + round(gap * S)
@@ -71,7 +71,7 @@ def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str, limit:
 # -- memory ------------------------------------------------------------------------------------
 
 
-def held(identifier: OnlineIdentifier) -> int:
+def buffered(identifier: OnlineIdentifier) -> int:
     buffers = (identifier.sampler.rates, identifier.sampler.raw_inputs)
     waiting = sum(len(buffer._waiting_t) + len(buffer.t) for buffer in buffers)
     return waiting + identifier.intake.waiting
@@ -103,16 +103,16 @@ def test_memory_stays_bounded(feed: str, own: dict[str, Any], interval: int) -> 
             identifier.add_actuators(t, (0.0, 0.0, 0.0, 0.0))
         list(identifier.advance())
         if k % (1000 // interval) == 0:
-            sizes.append(held(identifier))
+            sizes.append(buffered(identifier))
     assert max(sizes[15:]) < 600
     assert sizes[-1] <= max(sizes[10:20])
 
 
-# -- what must not matter ----------------------------------------------------------------------
+# -- independence of sensors and channels -----------------------------------------------------
 
 
 VARIANTS: list[tuple[str, dict[str, Any], float]] = [
-    # products of rates are no straight lines
+    # products of rates are not piecewise linear
     ("plain", {"rate": 50.0, "convention": "frd"}, 0.03),
     ("pwm", {"rate": 1000.0}, 0.01),
     ("elevon", {"drop": 0.2}, 0.01),
@@ -122,10 +122,10 @@ VARIANTS: list[tuple[str, dict[str, Any], float]] = [
 
 
 @pytest.mark.parametrize(("channels", "variant", "limit"), VARIANTS)
-def test_how_it_is_measured_does_not_matter(
+def test_sensors_and_channels_do_not_change_the_coefficients(
     calm_flight: Flight, channels: str, variant: dict[str, Any], limit: float
 ) -> None:
-    """Noise-free, so that the pairing of rates and inputs is all that is tested."""
+    """Without noise only the pairing of rates and inputs matters."""
     m = measure(replace(calm_flight, channel_set=CHANNEL_SETS[channels]), Sensors(**variant))
     _, (*_, last) = identified(m, estimator="least_squares")
     names = linear_names(calm_flight)

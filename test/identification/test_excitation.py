@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The excitation gate: how much a row may learn, and where its inputs stand out."""
+"""The excitation gate: the weight of a row's samples, and its signal-to-noise ratio."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def flown(
     disturbance: float = 0.1,
     hz: float = 1.0,
 ) -> list[float]:
-    """Let the elevator move, rad, in disturbances, rad/s^2; return qdot's weight, tick by tick."""
+    """Return qdot's weight at each tick; elevator amplitude in rad, disturbance in rad/s^2."""
     chance, weights = np.random.default_rng(1), []
     coefficients = np.zeros(STRUCTURE.mask.shape)
     coefficients[1, ELEVATOR] = EFFECT
@@ -39,30 +39,30 @@ def flown(
 
 @pytest.fixture
 def gate() -> ExcitationGate:
-    """A gate that has seen half a minute of excitation."""
+    """A gate after half a minute of excitation."""
     gate = ExcitationGate(FREE, SupervisionSettings())
     assert set(flown(gate, 30.0, 0.05)[1:]) == {1.0}
     return gate
 
 
-def test_a_row_learns_little_in_quiet_flight_and_at_once_when_it_is_over(
+def test_a_rows_weight_falls_in_quiet_flight_and_returns_with_excitation(
     gate: ExcitationGate,
 ) -> None:
     weights = flown(gate, 10.0, 0.005)
-    assert weights[5] == 1.0  # the window still holds what was
-    assert 0.0 < max(weights[31:]) < 0.02  # 3 s later it does not
+    assert weights[5] == 1.0  # the window still contains the excitation
+    assert 0.0 < max(weights[31:]) < 0.02  # 3 s later the window is quiet
     assert not gate.learning[1]
     assert flown(gate, 2.0, 0.05)[-1] == 1.0
 
 
-def test_a_slow_multisine_still_moves_in_the_window() -> None:
+def test_a_slow_multisine_counts_as_excitation() -> None:
     gate = ExcitationGate(FREE, SupervisionSettings())
     flown(gate, 30.0, 0.05, hz=0.15)
     assert min(flown(gate, 30.0, 0.05, hz=0.15)) > 0.5
 
 
-def test_inputs_stand_out_until_a_gust_front_is_a_second_old(gate: ExcitationGate) -> None:
-    assert gate.clear[1]  # 0.5 rms of the surface against 0.01 of the residual
+def test_the_signal_is_not_clear_after_a_second_in_a_gust_front(gate: ExcitationGate) -> None:
+    assert gate.clear[1]  # variances 0.5 and 0.01 (rad/s^2)^2
     assert gate.signal[1] == pytest.approx(0.5 * (0.05 * EFFECT) ** 2 / 0.1**2, rel=0.3)
     flown(gate, 1.25, 0.05, disturbance=1.2)
     assert gate.learning[1] and not gate.clear[1]

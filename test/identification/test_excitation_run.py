@@ -31,7 +31,7 @@ SEED_1 = [
     [-0.8129, 0.8952, 0.9752, -0.6922],
     [-0.8094, -0.5241, 0.6269, 0.7846],
 ]
-"""Multisines of the seed 1, 0.1 to 2 Hz, at 1, 4 and 7.3 s: as in all flights so far."""
+"""Multisines of seed 1, 0.1 to 2 Hz, at 1, 4 and 7.3 s, shape (3, 4)."""
 
 LEVEL = Flying(np.zeros(3), roll=0.0, pitch=0.05, airspeed=20.0)
 
@@ -39,7 +39,7 @@ LEVEL = Flying(np.zeros(3), roll=0.0, pitch=0.05, airspeed=20.0)
 def estimate(
     t_ns: int, ratio: float = 1.0, state: str = "learning", value: float = 1.0
 ) -> Estimate:
-    """An estimate whose coefficients are `ratio` times their sigma."""
+    """An estimate whose coefficients have a t-ratio of `ratio`."""
     values = value * STRUCTURE.mask
     return estimate_of(
         values, values / ratio, t_ns=t_ns, usable=False, state=state, reason="why it waits"
@@ -53,7 +53,7 @@ def started(settings: ExcitationSettings = SETTINGS) -> ExcitationRun:
 
 
 def flown(run: ExcitationRun, ticks: int, ratio: float = 1.0) -> list[Injection | None]:
-    """Step through so many ticks after the start."""
+    """Step through `ticks` ticks after the start; return the injected signals."""
     steps = (T0_NS + (k + 1) * TICK_NS for k in range(ticks))
     return [run.step(LEVEL, estimate(t_ns, ratio)) for t_ns in steps]
 
@@ -65,7 +65,7 @@ def values(injection: list[Injection | None]) -> np.ndarray:
 # --- the signals -------------------------------------------------------------------------------
 
 
-def test_multisines_are_orthogonal_low_in_peak_and_as_large_as_asked_for() -> None:
+def test_multisines_are_orthogonal_with_low_peaks_and_the_set_amplitudes() -> None:
     design = ProgrammedInput(
         ExcitationSettings(amplitude=(0.02, 0.03, 0.04, 0.1), band=(0.1, 2.0), fade_time=0.0)
     )
@@ -81,7 +81,7 @@ def test_multisines_are_orthogonal_low_in_peak_and_as_large_as_asked_for() -> No
     frequency = np.fft.rfftfreq(len(t), 0.01)
     outside = (frequency < 0.1 - 1e-6) | (frequency > 2.0 + 1e-6)
     assert power[outside].max() < 1e-12 * power.max()
-    assert (power[~outside].max(axis=1) > 1e-4 * power.max()).all()  # no harmonic is left out
+    assert (power[~outside].max(axis=1) > 1e-4 * power.max()).all()  # no harmonic is missing
 
 
 @pytest.mark.parametrize("low", [0.1, 0.3])
@@ -95,8 +95,8 @@ def test_multisines_repeat_after_two_cycles_of_the_lowest_frequency(low: float) 
     assert (np.abs(half - first).max(axis=0) > 0.1 * np.abs(first).max(axis=0)).all()
 
 
-def test_a_seed_makes_the_signals_that_it_always_made() -> None:
-    """Flights and figures rest on them; other phases of as low a peak would do as well."""
+def test_the_signals_of_a_seed_are_reproduced() -> None:
+    """Documented flights and figures depend on the signals of a seed."""
     signals = multisines(np.array([1.0, 4.0, 7.3]), 4, 20.0, (0.1, 2.0), seed=1)
     np.testing.assert_allclose(signals, SEED_1, atol=2e-4)
 
@@ -110,7 +110,7 @@ def test_multisines_fade_in_and_out() -> None:
 
 
 @pytest.mark.parametrize("form", ["3211", "doublet", "probe"])
-def test_pulses_move_one_input_at_a_time_and_all_of_them(form: str) -> None:
+def test_pulses_move_every_input_one_at_a_time(form: str) -> None:
     design = ProgrammedInput(ExcitationSettings(form=form, amplitude=(0.02, 0.03, 0.0, 0.1)))
     u = np.array([design.sample(float(t)) for t in np.arange(0.0, design.duration, 0.01)])
     moved = np.abs(u) > 0.0
@@ -140,18 +140,18 @@ def test_a_doublets_spectrum_is_highest_in_mid_band() -> None:
 # --- a run -------------------------------------------------------------------------------------
 
 
-def test_a_run_goes_from_nothing_over_the_signal_to_zero_and_silence() -> None:
+def test_a_run_sends_the_signal_then_zeros_then_no_messages() -> None:
     run = ExcitationRun(STRUCTURE)
-    assert run.step(LEVEL, estimate(T0_NS)) is None  # silent before
+    assert run.step(LEVEL, estimate(T0_NS)) is None  # no message before the start
     assert run.start(SETTINGS, LEVEL, estimate(T0_NS)) == ""
     injection = flown(run, 440)
     lead_ns = round(SETTINGS.lead * 1e9)
     design = ProgrammedInput(SETTINGS)
     for k in (0, 10, 100, 300):
-        answer = injection[k]
-        assert answer is not None
-        assert answer.t_ns == T0_NS + (k + 1) * TICK_NS + lead_ns
-        np.testing.assert_array_equal(answer.values, design.sample((k + 1) * 0.05))
+        sent = injection[k]
+        assert sent is not None
+        assert sent.t_ns == T0_NS + (k + 1) * TICK_NS + lead_ns
+        np.testing.assert_array_equal(sent.values, design.sample((k + 1) * 0.05))
     assert np.abs(values(injection)).max() > 0.9 * max(SETTINGS.amplitude)
     zeros = [a for a in injection[400:] if a is not None]
     assert not values(injection[400:]).any()
@@ -161,7 +161,7 @@ def test_a_run_goes_from_nothing_over_the_signal_to_zero_and_silence() -> None:
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 10, 100, 396, 399])
-def test_an_abort_asks_for_zero_from_now_on_whatever_the_state(ticks: int) -> None:
+def test_an_abort_sends_zeros_at_once_in_every_phase(ticks: int) -> None:
     run = started()
     flown(run, ticks)
     now_ns = T0_NS + ticks * TICK_NS + 7
@@ -187,7 +187,7 @@ BEYOND = [
 ]
 
 
-def test_beyond_a_limit_it_does_not_start_and_a_run_ends_at_once() -> None:
+def test_beyond_a_limit_a_run_does_not_start_and_ends_at_once() -> None:
     settings = replace(SETTINGS, min_airspeed=15.0, max_airspeed=25.0)
     for flying, state, named in BEYOND:
         printed = ExcitationRun(STRUCTURE).start(settings, flying, estimate(T0_NS, state=state))
@@ -201,7 +201,7 @@ def test_beyond_a_limit_it_does_not_start_and_a_run_ends_at_once() -> None:
         assert run.why.startswith("aborted: ") and named in run.why
 
 
-def test_a_start_that_cannot_be_says_why_and_what_is_not_known_is_no_limit() -> None:
+def test_a_refused_start_has_a_reason_and_unknown_signals_do_not_refuse_it() -> None:
     assert ExcitationRun(STRUCTURE).start(SETTINGS, Flying(np.zeros(3)), estimate(T0_NS)) == ""
     assert "going on" in started().start(SETTINGS, LEVEL, estimate(T0_NS))
     still = replace(SETTINGS, amplitude=(0.0,) * 4)
@@ -210,10 +210,10 @@ def test_a_start_that_cannot_be_says_why_and_what_is_not_known_is_no_limit() -> 
     assert "'excitation.band'" in ExcitationRun(STRUCTURE).start(narrow, LEVEL, estimate(T0_NS))
 
 
-# --- enough ------------------------------------------------------------------------------------
+# --- sufficient information -----------------------------------------------------------------
 
 
-def test_it_fades_out_when_everything_is_known_but_not_before_a_period() -> None:
+def test_a_run_fades_out_when_all_is_known_but_not_before_a_period() -> None:
     settings = replace(SETTINGS, duration=60.0)
     run, design = started(settings), ProgrammedInput(settings)
     injection = flown(run, 399, ratio=100.0)
@@ -222,16 +222,16 @@ def test_it_fades_out_when_everything_is_known_but_not_before_a_period() -> None
     assert 0.05 * ends == pytest.approx(design.period + settings.fade_time, abs=0.1)
     assert run.why == f"everything is known after {design.period:.0f} s"
     plain = np.abs([design.sample(0.05 * (k + 1)) for k in range(ends)]).max(axis=1)
-    assert (np.diff(size[ends - 20 : ends - 1] / plain[-20:-1]) < 0.0).all()  # out, not off
-    run = started(replace(SETTINGS, min_t_ratio=0.0))  # to the end, if that is wanted
+    assert (np.diff(size[ends - 20 : ends - 1] / plain[-20:-1]) < 0.0).all()  # a fade, no step
+    run = started(replace(SETTINGS, min_t_ratio=0.0))  # without a t-ratio the run is complete
     flown(run, 398, ratio=100.0)
     assert run.active
 
 
-def test_the_time_until_known_follows_from_what_the_run_teaches() -> None:
-    """sigma^-2 = I0 + k t: with the run's own k, whatever was known before it."""
+def test_the_time_left_follows_from_the_information_gained_per_second() -> None:
+    """sigma^-2 = I0 + k t, with the run's own k and the information I0 at its start."""
     run = started(replace(SETTINGS, duration=300.0))
-    before, gain = 4.0, 0.5  # t-ratio squared at the start, and per second
+    before, gain = 4.0, 0.5  # t-ratio squared at the start, and its growth per second
     for k in range(1, 201):
         t_ns = T0_NS + k * TICK_NS
         run.step(LEVEL, estimate(t_ns, ratio=np.sqrt(before + gain * k * 0.05)))
@@ -242,7 +242,7 @@ def test_the_time_until_known_follows_from_what_the_run_teaches() -> None:
     assert "pdot/dth" not in run.sufficiency.unknown  # dth is not excited
 
 
-def test_what_is_next_to_nothing_need_not_be_told_from_nothing() -> None:
+def test_a_negligible_coefficient_counts_as_known_by_its_sigma() -> None:
     run = started(replace(SETTINGS, min_t_ratio=10.0))
     t_ns = T0_NS + TICK_NS
     sharp = estimate(t_ns, ratio=100.0, value=10.0)
@@ -256,8 +256,8 @@ def test_what_is_next_to_nothing_need_not_be_told_from_nothing() -> None:
     assert run.sufficiency.effects["da"] == ("pdot/da", 10.0, pytest.approx(0.1))
 
 
-def test_the_identifier_knows_attitude_and_airspeed_for_the_limits() -> None:
-    """A vehicle that stands on a slope, in the wind: the accelerometer tells the attitude."""
+def test_attitude_and_airspeed_for_the_limits_follow_from_the_messages() -> None:
+    """A vehicle at rest on a slope, in the wind: the accelerometer gives the attitude."""
     settings = Settings.from_values(
         {"imu.convention": "frd", "airspeed.type": "std_msgs/msg/Float64", "armed.type": ARMED}
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Attitude, sideslip and angle of attack from the Imu: against flights that know them."""
+"""Attitude, sideslip and angle of attack from the Imu, against the true ones."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -32,7 +32,7 @@ MOMENTS = np.s_[:3, FLIGHT.column("beta") :]
 def blocks(
     x: FloatArray, force: FloatArray, u: FloatArray, h: float, cells: int = 10
 ) -> Iterator[Block]:
-    """Cut signals at the edges (N + 1), inputs of the cells (N), into blocks."""
+    """Cut signals at the edges (N + 1) and inputs of the cells (N) into blocks."""
     t_ns = np.rint(np.arange(len(x)) * h * 1e9).astype(np.int64)
     for k in range(0, len(u) - cells + 1, cells):
         edges = slice(k, k + cells + 1)
@@ -49,7 +49,7 @@ def observed(
     values: FloatArray | None = None,
     airspeed: float | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Flow angles (N, 2) and roll and pitch (N, 2) at the end of each cell."""
+    """Return flow angles (N, 2), and roll and pitch (N, 2), at the end of each cell, rad."""
     angles, attitude = [], []
     values = first_values(FLIGHT) if values is None else values
     for block in blocks(x, force, u, h):
@@ -65,7 +65,7 @@ def observed(
 
 
 def turn(bank: float, seconds: float, h: float, roll_in: float = 2.0) -> tuple[FloatArray, ...]:
-    """Roll, rates and specific force of a coordinated turn at a constant height, rolled into."""
+    """Roll, rates and specific force of a coordinated level turn with a smooth roll-in."""
     t = np.arange(round(seconds / h) + 1) * h
     s = np.clip(t / roll_in, 0.0, 1.0)
     roll = bank * (3.0 * s**2 - 2.0 * s**3)
@@ -83,15 +83,15 @@ def observer() -> FlowObserver:
 
 
 @pytest.mark.parametrize(("bank", "h"), [(0.3, 0.02), (-0.8, 0.005), (-0.8, 0.02)])
-def test_the_attitude_of_a_coordinated_turn_does_not_level_out(bank: float, h: float) -> None:
-    """The accelerometer alone reads level from the first second of the turn to the last."""
+def test_the_roll_angle_of_a_coordinated_turn_does_not_decay(bank: float, h: float) -> None:
+    """The accelerometer alone indicates level flight throughout the turn."""
     roll, x, force = turn(bank, 60.0, h)
     _, attitude = observed(observer(), x, force, np.zeros((len(x) - 1, 4)), h)
     error = attitude - np.stack([roll[1:], 0.0 * roll[1:]], axis=1)[: len(attitude)]
     assert np.abs(error).max() < math.radians(1.0)
 
 
-def test_a_gyro_that_drifts_is_found_out() -> None:
+def test_the_attitude_is_corrected_for_a_gyro_bias() -> None:
     _, x, force = turn(0.0, 120.0, 0.01)
     drift = np.array([0.02, -0.015, 0.0])
     _, attitude = observed(observer(), x + drift, force, np.zeros((len(x) - 1, 4)), 0.01)
@@ -99,7 +99,7 @@ def test_a_gyro_that_drifts_is_found_out() -> None:
     assert np.abs(attitude).max() > math.radians(1.0)
 
 
-def test_it_starts_at_the_attitude_of_the_first_samples() -> None:
+def test_the_observer_starts_at_the_attitude_of_the_first_samples() -> None:
     roll, pitch = 0.5, -0.3
     level = math.cos(pitch)
     down = np.array([-math.sin(pitch), math.sin(roll) * level, math.cos(roll) * level])
@@ -113,7 +113,7 @@ def test_it_starts_at_the_attitude_of_the_first_samples() -> None:
 
 
 def pushed(forward: float, seconds: float, scale: float = 1.0) -> FloatArray:
-    """Roll and pitch, level and then pushed forward, m/s^2, which no airspeed tells of."""
+    """Roll and pitch, level and then accelerated forward, m/s^2, without an airspeed."""
     h = 0.01
     force = np.tile([0.0, 0.0, -GRAVITY], (round((1.0 + seconds) / h) + 1, 1))
     force[round(1.0 / h) :, 0] = forward
@@ -121,26 +121,26 @@ def pushed(forward: float, seconds: float, scale: float = 1.0) -> FloatArray:
     return observed(observer(), np.zeros_like(force), force, np.zeros((len(force) - 1, 4)), h)[1]
 
 
-def test_a_push_of_a_second_hardly_tilts_and_a_minute_of_it_does() -> None:
-    """It looks like a pitch of 11 degrees; a third of 1/s of it is believed."""
-    seeming = math.atan2(2.0, GRAVITY)
-    assert 0.2 < pushed(2.0, 1.0)[-1, 1] / seeming < 0.3
-    assert pushed(2.0, 60.0)[-1, 1] == pytest.approx(seeming, rel=0.01)
+def test_only_a_long_forward_acceleration_tilts_the_attitude() -> None:
+    """It resembles a pitch of 11 degrees, followed at a third of 1/s."""
+    apparent = math.atan2(2.0, GRAVITY)
+    assert 0.2 < pushed(2.0, 1.0)[-1, 1] / apparent < 0.3
+    assert pushed(2.0, 60.0)[-1, 1] == pytest.approx(apparent, rel=0.01)
 
 
-def test_a_catapult_does_not_tilt_and_an_accelerometer_a_fifth_off_is_believed() -> None:
-    """Below 30 % of gravity it tells where down is; a launch at one g more is beyond."""
+def test_a_launch_does_not_tilt_and_a_scale_error_of_a_fifth_is_accepted() -> None:
+    """Forces within 30 % of gravity correct the attitude; a launch at one g exceeds that."""
     assert np.abs(pushed(0.9 * GRAVITY, 2.0)).max() < math.radians(0.1)
     for scale in (0.8, 1.2):
-        seeming = math.atan2(1.0, GRAVITY)
-        assert pushed(1.0, 60.0, scale)[-1, 1] == pytest.approx(seeming, rel=0.05)
+        apparent = math.atan2(1.0, GRAVITY)
+        assert pushed(1.0, 60.0, scale)[-1, 1] == pytest.approx(apparent, rel=0.05)
 
 
 # --- flow angles --------------------------------------------------------------------------------
 
 
 def flow_of(flight: Flight, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Observed flow angles beta, alpha and the true ones, both from their own mean, rad."""
+    """Observed and true flow angles beta and alpha, without their means, rad."""
     u = (flight.extra["surfaces"] - flight.trim)[:-1]
     assert flight.airspeed is not None
     own = FlowObserver(FLIGHT, CUTOFF, float(flight.airspeed.mean()))
@@ -150,10 +150,10 @@ def flow_of(flight: Flight, values: FloatArray) -> tuple[FloatArray, FloatArray]
     return tuple(part[settled] - part[settled].mean(axis=0) for part in (found, true))
 
 
-def test_the_flow_angles_of_a_light_jsbsim_aircraft_are_its_own() -> None:
-    """The part that moves: where alpha is zero is a convention, and where ay and az vanish here.
+def test_the_flow_angles_of_a_jsbsim_aircraft_vary_as_the_true_ones() -> None:
+    """The means differ: alpha is relative to zero lift here, and the origin is a convention.
 
-    The forces that rates make by themselves are in no row: they are the rest.
+    Forces by rates have no regressor and make the remaining error.
     """
     pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
     from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
@@ -166,7 +166,7 @@ def test_the_flow_angles_of_a_light_jsbsim_aircraft_are_its_own() -> None:
 
 
 def slipping(h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """States, forces and inputs of ten seconds in which an aircraft rolls in a sideslip."""
+    """States, forces and inputs of 10 s of rolling in a sideslip."""
     a, t = matrix(FLIGHT, AIRCRAFT), np.arange(round(10.0 / h)) * h
     u = np.zeros((len(t), 4))
     u[:, 0] = 0.01 * np.sin(9.0 * t)
@@ -181,7 +181,7 @@ def slipping(h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     return np.array(states[:-1]), np.array(forces), u
 
 
-def test_a_roll_in_a_sideslip_turns_one_angle_into_the_other() -> None:
+def test_a_roll_in_a_sideslip_changes_alpha_as_the_kinematics_row_predicts() -> None:
     h, a, az = 0.01, matrix(FLIGHT, AIRCRAFT), FLIGHT.index("az/alpha")
     states, force, u = slipping(h)
     assert np.abs(states[:, 0] * states[:, 3]).max() > 0.2  # rad/s
@@ -192,14 +192,14 @@ def test_a_roll_in_a_sideslip_turns_one_angle_into_the_other() -> None:
     (block,) = blocks(states[:, :3], force, u, h, len(u))
     block.flow = FlowSignals(whole, SPEED)
     found = StateVariableFilter(FLIGHT, CUTOFF, h, np.zeros(3)).apply(block, whole, None, a)
-    columns = [FLIGHT.size + 1, -2, FLIGHT.column("1")]  # alpha's kinematics, de's slope, bias
+    columns = [FLIGHT.size + 1, -2, FLIGHT.column("1")]  # kinematics, de's slope, bias
     slopes, *_ = np.linalg.lstsq(found.f[:, columns], found.y[:, 4], rcond=None)
     left = found.y[:, 4] - found.f[:, columns] @ slopes
     assert slopes[0] == pytest.approx(a[az], rel=0.01)
     assert np.std(left) < 0.01 * np.std(found.y[:, 4])
 
 
-def test_the_state_has_the_uncertainty_of_the_slopes() -> None:
+def test_the_sigma_of_the_flow_angles_is_that_of_the_slopes() -> None:
     own = observer()
     own.angles = [0.1, -0.2]
     values, sigma = first_values(FLIGHT), np.zeros(FLIGHT.mask.shape)
@@ -221,7 +221,7 @@ def test_the_state_has_the_uncertainty_of_the_slopes() -> None:
         (2.0 * SPEED, 2.0 * SPEED),
     ],
 )
-def test_the_airspeed_is_the_one_measured_unless_it_hardly_flies(
+def test_the_airspeed_is_the_measured_one_unless_it_is_below_flying_speed(
     airspeed: float | None, used: float
 ) -> None:
     own = observer()
@@ -243,7 +243,7 @@ def without_accelerometer(stream: list[Message]) -> list[Message]:
 
 
 @pytest.mark.parametrize("estimator", ["least_squares", "instrumental_variable"])
-def test_without_an_accelerometer_the_moments_are_those_without_flow(estimator: str) -> None:
+def test_without_an_accelerometer_the_moment_rows_are_those_without_flow(estimator: str) -> None:
     m = measure(plant_flight(10.0, gusts=ColouredNoise(0.3, 0.3)), Sensors(gyro_noise=0.02), seed=1)
     stream = without_accelerometer(messages(m))
     fixed = {"fixed_coefficients": ("pdot/ay", "qdot/az", "rdot/ay")}
@@ -259,8 +259,8 @@ def test_without_an_accelerometer_the_moments_are_those_without_flow(estimator: 
     np.testing.assert_array_equal(last.coefficients[3:], first_values(FLIGHT)[3:])
 
 
-def test_a_warm_start_is_published_whole_before_the_first_sample_is_used() -> None:
-    """Not without its flow angles until there is word of an accelerometer."""
+def test_a_warm_start_is_published_complete_before_the_first_update() -> None:
+    """The coefficients of the flow angles do not wait for an accelerometer."""
     values = np.where(FLIGHT.mask, -5.0, 0.0)
     saved = CoefficientSet("flight_dynamics", values, 0.1 * np.abs(values))
     identifier = OnlineIdentifier(Settings())
@@ -274,7 +274,7 @@ def test_a_warm_start_is_published_whole_before_the_first_sample_is_used() -> No
     assert (first.sigma[FLIGHT.mask] > 0.0).all()
 
 
-def test_an_accelerometer_that_comes_late_is_learned_from() -> None:
+def test_the_flow_rows_are_learned_with_a_late_accelerometer() -> None:
     m = light_measured(60.0, gust=0.0)
     stream = messages(m)
     late = int(m.imu_t_ns[0]) + 15 * 10**9
@@ -289,8 +289,8 @@ def test_an_accelerometer_that_comes_late_is_learned_from() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_surface_that_fails_loses_its_force_with_its_moment(seed: int) -> None:
-    """What a rudder does to the yaw is whole only with the side force that it makes now."""
+def test_a_reversed_rudder_has_its_moment_and_its_side_force_reversed(seed: int) -> None:
+    """The whole rdot/dr includes the effect of the rudder's own side force."""
     weak = dict.fromkeys(("de", "dr", "da"), 0.04)
     reversed_at = (CoefficientChange(40.0, {"dr": -1.0}),)
     imu = {"rate": 200.0, "accelerometer_noise": 0.3}
@@ -302,15 +302,15 @@ def test_a_surface_that_fails_loses_its_force_with_its_moment(seed: int) -> None
 def rudder_alone(
     seconds: float, seed: int, sensors: Mapping[str, Any] | None = None
 ) -> Measurements:
-    """A flight in calm air in which the rudder alone is excited."""
+    """Measurements of a flight in calm air with excitation of the rudder alone."""
     segments = (Segment("multisine", 0.0, seconds, {"dr": 0.08}, 10.0, (0.2, 2.0), seed=seed),)
     flight = {"segments": segments, "delay": 0.02, "gust": 0.0, "seed": seed}
     return light_measured(seconds, sensors=sensors, noise_seed=seed, **flight)
 
 
 @pytest.mark.parametrize("seed", [1, 3, 6])
-def test_where_the_elevator_rests_lift_holds_the_angle_of_attack(seed: int) -> None:
-    """In calm air the rudder alone moves: angles of a radian made its yaw look like a roll."""
+def test_with_a_resting_elevator_the_lift_bound_limits_the_angle_of_attack(seed: int) -> None:
+    """Without the bound, alpha of a radian would turn the sideslip into roll."""
     _, estimates = identified(rudder_alone(120.0, seed))
     assert max(abs(e.flow.alpha) for e in estimates[1000:] if e.flow is not None) < 0.5
     off, _ = light_errors(estimates[-1], "ay/beta", "rdot/r", "rdot/beta", "rdot/dr")
@@ -318,8 +318,8 @@ def test_where_the_elevator_rests_lift_holds_the_angle_of_attack(seed: int) -> N
 
 
 @pytest.mark.parametrize("arm", [(0.0, 0.0, 0.0), (1.5, 0.0, -0.3)])
-def test_a_force_that_jumps_with_its_surface_comes_no_earlier(arm: tuple[float, ...]) -> None:
-    """The rudder alone is excited, and the aileron follows: half a sample makes it 33, not 45."""
+def test_a_force_step_of_the_rudder_does_not_bias_the_aileron(arm: tuple[float, ...]) -> None:
+    """A force half a sample early would change pdot/da from 45 to 33."""
     quiet = {"gyro_noise": 1e-6, "accelerometer_noise": 1e-5, "lever_arm": arm}
     *_, last = identified(rudder_alone(60.0, 1, quiet))[1]
     assert light_errors(last, "pdot/da")[0] < 0.05

@@ -24,7 +24,7 @@ def test_flu_differs_from_frd_by_half_a_turn_about_x() -> None:
 
 
 @pytest.mark.parametrize("convention", ["flu", "frd"])
-def test_there_and_back_is_the_identity(convention: str) -> None:
+def test_a_rotation_and_its_inverse_are_the_identity(convention: str) -> None:
     frame = BodyFrame(ImuSettings(convention=convention, rpy=(0.3, -0.7, 2.0)))
     vectors = np.random.default_rng(2).normal(size=(20, 3))
     np.testing.assert_allclose(frame.to_imu(frame.to_body(vectors)), vectors, atol=1e-15)

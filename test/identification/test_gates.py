@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pauses learning, what it protects, and what is said about it."""
+"""The gates: when learning pauses, the coefficients that a pause protects, and its reason."""
 
 import math
 from collections.abc import Callable
@@ -32,20 +32,20 @@ STRUCTURE = "throttle_coupled"
 
 @cache
 def healthy() -> Estimate:
-    """The end of that flight with nothing wrong."""
+    """The last estimate of the flight without faults."""
     return flown()[1][-1]
 
 
 @cache
 def halved() -> Measurements:
-    """The same flight, and on, with half an elevator from 40 s."""
+    """Measurements of the same flight, 15 s longer, with half an elevator from 40 s."""
     return flying.measured(60.0, changes=(CoefficientChange(40.0, {"qdot/de": 0.5}),))
 
 
 def flown(
     stream: list[flying.Message] | None = None, seconds: float = 45.0, **changes: Any
 ) -> tuple[OnlineIdentifier, list[Estimate]]:
-    """The identifier after so much of that flight, or of what arrived in its place."""
+    """Return the identifier and estimates of `seconds` of the flight, or of other messages."""
     stream = flying.messages(flying.excited()) if stream is None else stream
     end = stream[0].t_ns + seconds * 1e9
     part = [m for m in stream if m.t_ns <= end]
@@ -53,26 +53,26 @@ def flown(
 
 
 def altered(alter: Callable[[float, FloatArray], FloatArray]) -> list[flying.Message]:
-    """Its messages with other rates; `alter` is given the time since the start, s."""
+    """The flight's messages with rates changed by `alter`, a function of the time, s, and rates."""
     stream = flying.messages(flying.excited())
     start = stream[0].t_ns
 
-    def spoilt(m: flying.Message) -> flying.Message:
+    def altered_message(m: flying.Message) -> flying.Message:
         rates = alter((m.t_ns - start) * 1e-9, np.array(m.values[:3]))
         return m._replace(values=(*rates.tolist(), *m.values[3:]))
 
-    return [spoilt(m) if m.stream == "rates" else m for m in stream]
+    return [altered_message(m) if m.stream == "rates" else m for m in stream]
 
 
-def said(estimates: list[Estimate], begin: float, end: float) -> set[str]:
+def reasons_of(estimates: list[Estimate], begin: float, end: float) -> set[str]:
     return {e.reason for e in flying.since(estimates, begin, end)}
 
 
-def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told() -> None:
+def test_a_control_check_on_the_ground_is_not_learned_and_its_cost_is_recorded() -> None:
     rng = np.random.default_rng(3)
 
     def stand(t: float, rates: FloatArray) -> FloatArray:
-        flies = min(max(t - 9.0, 0.0), 1.0)  # it takes off within a second
+        flies = min(max(t - 9.0, 0.0), 1.0)  # take-off within a second
         return flies * rates + (1.0 - flies) * rng.normal(0.0, 0.01, 3)
 
     stream = altered(stand)
@@ -94,18 +94,18 @@ def test_a_control_check_on_the_ground_teaches_nothing_and_its_cost_is_told() ->
     assert ungated[-1].coefficients.any()
 
 
-def test_a_force_that_never_moves_is_the_ground_too() -> None:
-    # The simulated accelerometer sees noise alone.
+def test_a_constant_specific_force_counts_as_rest() -> None:
+    # The simulated accelerometer measures noise alone.
     _, estimates = flown(seconds=10.0, supervision__min_force_motion=5.0)
-    assert said(estimates, 1.0, 10.0) == {"at rest: no specific force has moved by 5 m/s^2"}
+    assert reasons_of(estimates, 1.0, 10.0) == {"at rest: no specific force has moved by 5 m/s^2"}
 
 
-def test_a_saturated_gyro_pauses_a_second_more_and_is_not_scored() -> None:
+def test_a_saturated_gyro_pauses_learning_and_scoring_for_a_second_more() -> None:
     def clip(t: float, rates: FloatArray) -> FloatArray:
         return np.array([4.0, *rates[1:]]) if 20.0 <= t < 21.0 else rates
 
     _, estimates = flown(altered(clip), supervision__max_rate=4.0)
-    assert said(estimates, 20.1, 21.9) == {"the gyro is saturated: p reaches 4 rad/s"}
+    assert reasons_of(estimates, 20.1, 21.9) == {"the gyro is saturated: p reaches 4 rad/s"}
     paused = flying.since(estimates, 20.1, 21.9)
     before = flying.since(estimates, 19.0, 19.9)[-1]
     np.testing.assert_array_equal(paused[-1].coefficients, paused[0].coefficients)
@@ -115,13 +115,15 @@ def test_a_saturated_gyro_pauses_a_second_more_and_is_not_scored() -> None:
     np.testing.assert_allclose(flying.since(estimates, 24.0, 25.0)[-1].fit, before.fit, atol=3.0)
 
 
-def test_a_stuck_gyro_is_named_and_not_learned_from() -> None:
+def test_a_stuck_gyro_is_named_and_its_samples_are_not_learned() -> None:
     def freeze(t: float, rates: FloatArray) -> FloatArray:
         return np.array([rates[0], 0.123, rates[2]]) if 33.0 <= t < 39.0 else rates
 
     stream = altered(freeze)
     _, estimates = flown(stream)
-    assert said(estimates, 33.4, 39.0) == {"the Imu is stuck: q has not changed for 0.25 s or more"}
+    assert reasons_of(estimates, 33.4, 39.0) == {
+        "the Imu is stuck: q has not changed for 0.25 s or more"
+    }
     found, right = estimates[-1].coefficients[1], healthy().coefficients[1]
     np.testing.assert_allclose(found, right, rtol=0.1, atol=0.5)
     ungated = flown(stream, supervision__stuck_time=0.0, supervision__max_residual=0.0)[1][-1]
@@ -132,10 +134,9 @@ def rounded(
     rate: float, step: float, still: tuple[float, float] = (0.0, 0.0), seconds: float = 60.0,
     limit: float = math.inf,
 ) -> list[str]:  # fmt: skip
-    """What the gate of the Imu says at each tick; it may hold q still for a while, or limit it.
+    """Return the reason of the Imu's gate at each tick; q may be constant or limited.
 
-    Each axis is moved in turn and then left to itself, as test inputs do. The gyro rounds to
-    `step`, rad/s, and its noise is a quarter of that.
+    The axes are excited in turn. The gyro rounds to `step`, rad/s, with noise of a quarter.
     """
     t = np.arange(0.0, seconds, 1.0 / rate)
     rng = np.random.default_rng(7)
@@ -148,18 +149,18 @@ def rounded(
     held = (still[0] <= t) & (t < still[1])
     rates[held, 1] = rates[held][:1, 1]
     force = rng.normal(size=(len(t), 3))
-    gate, reasons, given = SensorGate(), [], 0
+    gate, reasons, passed = SensorGate(), [], 0
     for tick in np.arange(0.05, seconds, 0.05):
         end = int(np.searchsorted(t, tick, side="right"))
-        samples = np.hstack([rates, force])[given:end]
+        samples = np.hstack([rates, force])[passed:end]
         look = Look(float(tick), samples, np.empty((0, 4)), None, None, True, "", Settings())
         reasons.append(gate.check(look))
-        given = end
+        passed = end
     return reasons
 
 
 @pytest.mark.parametrize(("rate", "step"), [(10.0, 0.002), (25.0, 0.002), (1000.0, 0.0175)])
-def test_a_gyro_that_rounds_coarsely_is_stuck_only_where_it_repeats_itself_for_longer(
+def test_a_coarse_gyro_is_stuck_only_after_longer_repetitions_than_usual(
     rate: float, step: float
 ) -> None:
     assert set(rounded(rate, step)) == {""}
@@ -168,8 +169,7 @@ def test_a_gyro_that_rounds_coarsely_is_stuck_only_where_it_repeats_itself_for_l
 
 
 @pytest.mark.parametrize("step", [0.0, 0.002])
-def test_a_gyro_whose_range_is_smaller_than_told_is_saturated(step: float) -> None:
-    """It stays at the largest value that it ever had, as no gyro does that still measures."""
+def test_a_gyro_with_a_smaller_range_than_configured_is_saturated(step: float) -> None:
     reasons = rounded(200.0, step, limit=0.07)[10 * 20 :]
     assert {reason for reason in reasons if "saturated" in reason} == {
         "the gyro is saturated: q reaches 0.07 rad/s"
@@ -177,8 +177,8 @@ def test_a_gyro_whose_range_is_smaller_than_told_is_saturated(step: float) -> No
 
 
 @pytest.mark.parametrize("rate", [20.0, 100.0, 1000.0])
-def test_a_gyro_that_never_repeats_itself_is_stuck_at_once(rate: float) -> None:
-    """Again and again: what it repeats while it is stuck is no habit."""
+def test_a_gyro_without_usual_repetitions_is_stuck_at_once(rate: float) -> None:
+    """Repetitions while it is stuck do not count as usual."""
     for begin in (3.0, 33.0):
         reasons = rounded(rate, 0.0, still=(begin, begin + 2.0), seconds=begin + 1.0)
         assert not any(reasons[: round(begin / 0.05)])
@@ -186,7 +186,7 @@ def test_a_gyro_that_never_repeats_itself_is_stuck_at_once(rate: float) -> None:
     assert not any(rounded(rate, 0.0, still=(0.0, 9.0), seconds=9.0)), "it never moved"
 
 
-def test_sticks_at_their_limit_pause() -> None:
+def test_a_channel_at_its_limit_pauses_learning() -> None:
     raw = np.array([m.values for m in flying.messages(flying.excited()) if m.stream == "actuators"])
     high = raw.max(axis=0) + 1.0
     high[0] = np.quantile(raw[:, 0], 0.99)
@@ -196,28 +196,28 @@ def test_sticks_at_their_limit_pause() -> None:
     }
     identifier, estimates = flown(seconds=22.0, **limits)
     channel = identifier.settings.actuators.channels[0]
-    printed = {e.reason for e in estimates if e.state == "paused"}
-    assert f"channel {channel} is at its limit" in printed
+    pause_reasons = {e.reason for e in estimates if e.state == "paused"}
+    assert f"channel {channel} is at its limit" in pause_reasons
     assert any(e.adapting for e in estimates)
 
 
 def thirds() -> tuple[list[flying.Message], ...]:
-    """Five seconds of that flight, the next five, and the next."""
+    """Messages of the flight's first, second and third 5 s."""
     stream = flying.messages(flying.excited())
     t = (np.array([m.t_ns for m in stream]) - stream[0].t_ns) * 1e-9
     cuts = np.searchsorted(t, [5.0, 10.0, 15.0])
     return tuple(stream[a:b] for a, b in zip([0, *cuts], cuts, strict=False))
 
 
-def test_armed_decides_if_there_is_a_topic_that_tells() -> None:
-    given, (first, second, third) = flying.fresh(armed__type="std_msgs/msg/Bool"), thirds()
-    assert {e.reason for e in flying.run(given, first)[5:]} == {"no message says that it is armed"}
-    given.add_armed(second[0].t_ns, False)
-    disarmed = flying.run(given, second)
+def test_an_armed_topic_decides_if_it_is_configured() -> None:
+    armed, (first, second, third) = flying.fresh(armed__type="std_msgs/msg/Bool"), thirds()
+    assert {e.reason for e in flying.run(armed, first)[5:]} == {"no message says that it is armed"}
+    armed.add_armed(second[0].t_ns, False)
+    disarmed = flying.run(armed, second)
     assert {e.reason for e in disarmed[5:]} == {"not armed"}
-    # Said late, but said once only: it must count all the same.
-    assert given.add_armed(disarmed[-1].t_ns - 1, True) is None
-    assert all(e.adapting for e in flying.run(given, third))
+    # A late message counts, since it is sent only once.
+    assert armed.add_armed(disarmed[-1].t_ns - 1, True) is None
+    assert all(e.adapting for e in flying.run(armed, third))
     unset = flying.fresh()
     unset.add_armed(first[0].t_ns, False)
     assert flying.run(unset, first)[-1].adapting
@@ -234,8 +234,8 @@ def test_below_flying_speed_nothing_is_learned() -> None:
     assert flying.run(slow, second)[-1].adapting
 
 
-def test_a_blocked_pitot_tube_takes_the_verdict_at_once() -> None:
-    """It would publish a ninth of every control derivative."""
+def test_with_a_blocked_pitot_tube_no_row_is_usable() -> None:
+    """The scaling would divide every control derivative by nine."""
     m = flying.light_measured(45.0)
     blocked = OnlineIdentifier(flying.settings(m, airspeed__type="std_msgs/msg/Float64"))
     stream = flying.messages(m)
@@ -244,7 +244,7 @@ def test_a_blocked_pitot_tube_takes_the_verdict_at_once() -> None:
     assert flying.run(blocked, stream[:cut])[-1].usable
     blocked.add_airspeed(stream[cut].t_ns, 0.0)
     half = (cut + len(stream)) // 2
-    after = flying.run(blocked, stream[cut:half])[2:]  # two ticks before were still to come
+    after = flying.run(blocked, stream[cut:half])[2:]  # two ticks were pending
     learned, scored = blocked.coefficient_set().values, blocked.running_fit.fit.copy()
     after += flying.run(blocked, stream[half:])
     assert not any(any(e.usable_rows) for e in after)
@@ -253,7 +253,7 @@ def test_a_blocked_pitot_tube_takes_the_verdict_at_once() -> None:
     np.testing.assert_array_equal(blocked.running_fit.fit, scored)
 
 
-def test_a_knock_is_kept_from_good_coefficients() -> None:
+def test_the_residual_gate_protects_the_coefficients_from_a_knock() -> None:
     def knock(t: float, rates: FloatArray) -> FloatArray:
         shake = 6.0 * np.sin(2.0 * np.pi * 5.0 * (t - 33.0)) * np.array([1.0, -1.0, 1.0])
         return rates + shake * (33.0 <= t < 33.4)
@@ -261,7 +261,7 @@ def test_a_knock_is_kept_from_good_coefficients() -> None:
     gated, ungated = (
         flown(altered(knock), supervision__max_residual=ratio)[1] for ratio in (6.0, 0.0)
     )
-    reasons = said(gated, 33.25, 33.4)
+    reasons = reasons_of(gated, 33.25, 33.4)
     assert {reason.split(";")[0] for reason in reasons} == {"residual far outside its usual size"}
     assert flying.since(gated, 37.0, 38.0)[-1].adapting
     moved, moved_ungated = (
@@ -271,19 +271,19 @@ def test_a_knock_is_kept_from_good_coefficients() -> None:
     assert moved < 0.5 * moved_ungated
 
 
-def test_a_halved_elevator_is_named_and_not_usable_until_it_is_learned_anew_alone() -> None:
+def test_a_halved_elevator_is_named_and_unusable_until_it_alone_is_relearned() -> None:
     identifier, estimates = flying.identified(halved(), structure=STRUCTURE)
     (change,) = identifier.supervisor.changed
-    noticed = change.t - estimates[0].t_ns * 1e-9
-    assert (change.name, 40.0 < noticed < 47.0) == ("qdot/de", True)
+    detected = change.t - estimates[0].t_ns * 1e-9
+    assert (change.name, 40.0 < detected < 47.0) == ("qdot/de", True)
     before, last = flying.since(estimates, 35.0, 40.0)[-1], estimates[-1]
     assert before.usable
-    dropped = flying.since(estimates, noticed + 0.1, noticed + 2.9)
+    dropped = flying.since(estimates, detected + 0.1, detected + 2.9)
     assert {(e.usable, e.reason) for e in dropped} == {
         (False, "qdot/de changed in flight and is learned anew")
     }
-    doubt = [e.sigma[1, 8] / abs(e.coefficients[1, 8]) for e in (before, dropped[0])]
-    assert doubt[1] > 1.5 * doubt[0]
+    relative_sigma = [e.sigma[1, 8] / abs(e.coefficients[1, 8]) for e in (before, dropped[0])]
+    assert relative_sigma[1] > 1.5 * relative_sigma[0]
     assert last.usable
     assert last.coefficients[1, 8] == pytest.approx(0.5 * before.coefficients[1, 8], rel=0.1)
     for name in set(flying.DOMINANT) - {"qdot/de"}:
@@ -292,15 +292,15 @@ def test_a_halved_elevator_is_named_and_not_usable_until_it_is_learned_anew_alon
         assert moved < max(0.1 * abs(before.coefficients[place]), 2.0 * before.sigma[place]), name
 
 
-def test_a_surface_lost_after_a_warm_start_is_learned_anew() -> None:
-    """What was known of it must not hold it where it was."""
+def test_an_elevator_halved_after_a_warm_start_is_learned_anew() -> None:
+    """The prior does not hold the coefficient at its former value."""
     sure = CoefficientSet(STRUCTURE, healthy().coefficients, 0.2 * healthy().sigma)
     identifier, (*_, last) = flying.identified(halved(), sure, structure=STRUCTURE)
     assert [change.name for change in identifier.supervisor.changed] == ["qdot/de"]
     assert last.coefficients[1, 8] == pytest.approx(0.5 * sure.values[1, 8], rel=0.15)
 
 
-def test_a_long_storm_under_an_autopilot_moves_nothing() -> None:
+def test_a_long_storm_under_an_autopilot_does_not_change_the_coefficients() -> None:
     segments = (Segment("multisine", duration=46.0, amplitudes=flying.AMPLITUDES, seed=1),)
 
     def flight(rms: float, duration: float, seed: int) -> Measurements:
@@ -312,14 +312,14 @@ def test_a_long_storm_under_an_autopilot_moves_nothing() -> None:
         hit, (*_, before) = flying.identified(calm, structure=STRUCTURE)
         assert before.usable
         stream = flying.messages(flight(gusts, 95.0, 4))
-        # Its excitation is over by then; its turbulence goes on.
+        # From here on there is turbulence without excitation.
         last = flying.run(hit, [m for m in stream if m.t_ns - stream[0].t_ns > 55e9])[-1]
         moved = np.abs(last.coefficients - before.coefficients)
         assert (moved <= 2.0 * before.sigma).all(), gusts
         assert hit.supervisor.changed == []
 
 
-def test_a_pause_is_told_row_by_row() -> None:
+def test_the_rows_pause_separately_for_lack_of_excitation() -> None:
     rests = flying.AMPLITUDES | {"de": 0.0, "dth": 0.0}
     segments = (
         Segment("multisine", duration=12.0, amplitudes=flying.AMPLITUDES, seed=1),
@@ -332,8 +332,7 @@ def test_a_pause_is_told_row_by_row() -> None:
     assert supervisor.learning.tolist() == [True, False, True]
 
 
-def test_an_instant_out_of_range_costs_nothing() -> None:
-    """One sample of 2000 deg/s took the verdict away for 52 s."""
+def test_a_single_sample_out_of_range_is_dropped_without_a_pause() -> None:
 
     def spoil(t: float, rates: FloatArray) -> FloatArray:
         return np.array([34.9, *rates[1:]]) if abs(t - 35.0) < 1e-3 else rates
@@ -345,8 +344,8 @@ def test_an_instant_out_of_range_costs_nothing() -> None:
     np.testing.assert_allclose(found, right, rtol=1e-2, atol=0.1)
 
 
-def test_spikes_within_the_range_of_the_gyro_cost_nothing() -> None:
-    """10 rad/s in one sample of 500: 'dr has hardly moved of late' was said of a rudder at work."""
+def test_spikes_within_the_range_of_the_gyro_do_not_change_the_verdict() -> None:
+    """Spikes of 10 rad/s, in one sample of 500."""
     rng = np.random.default_rng(5)
     stream = altered(lambda _, rates: rates + 10.0 * (rng.random(3) < 0.002))
     identifier, estimates = flown(stream)
@@ -357,8 +356,7 @@ def test_spikes_within_the_range_of_the_gyro_cost_nothing() -> None:
     np.testing.assert_allclose(found, right, rtol=5e-2, atol=0.2)
 
 
-def test_a_step_of_the_clock_of_the_inputs_is_no_change_of_the_aircraft() -> None:
-    """It was 'pdot/da changed in flight' after stamps that stepped by 0.2 s."""
+def test_a_clock_step_of_the_inputs_is_no_change_of_the_aircraft() -> None:
     stream = flying.messages(flying.excited())
     step_ns = stream[0].t_ns + 20 * 10**9
     late = [
@@ -368,13 +366,13 @@ def test_a_step_of_the_clock_of_the_inputs_is_no_change_of_the_aircraft() -> Non
     identifier, (*_, last) = flown(late)
     assert not identifier.supervisor.changed and last.usable
     assert "stepped by +0.20 s" in identifier.plausibility.noted["clock step"].text
-    for name in flying.DOMINANT:  # a second of it was learned before it was sure
+    for name in flying.DOMINANT:  # a second was learned before the detection
         index = identifier.structure.index(name)
         assert last.coefficients[index] == pytest.approx(healthy().coefficients[index], rel=0.05)
 
 
 def spikes_of(column: FloatArray, ticks: int = 5) -> list[int]:
-    """Samples that are left out of one signal, which comes so many at a time."""
+    """Samples that the filter removes from one signal, filtered `ticks` samples at a time."""
     samples, found = np.zeros((len(column), 6)), SpikeFilter()
     samples[:, 1] = column
     out: list[int] = []
@@ -385,26 +383,26 @@ def spikes_of(column: FloatArray, ticks: int = 5) -> list[int]:
 
 
 @pytest.mark.parametrize("ticks", [1, 2, 5])
-def test_a_spike_is_one_sample_and_the_next_is_back(ticks: int) -> None:
+def test_a_spike_is_a_single_sample_between_usual_ones(ticks: int) -> None:
     t = 0.01 * np.arange(1000)
     rates = 0.3 * np.sin(2.0 * t) + np.random.default_rng(1).normal(0.0, 0.01, len(t))
     assert spikes_of(rates, ticks) == []
     spoiled, where = rates.copy(), [300, 304, 305, 501, 502, 799]
-    spoiled[where] += [5.0, -5.0, 5.0, -5.0, 5.0, 5.0]  # single ones, and some beside others
+    spoiled[where] += [5.0, -5.0, 5.0, -5.0, 5.0, 5.0]  # single and adjacent ones
     assert spikes_of(spoiled, ticks) == where
-    # A blow, however hard: it is elsewhere from then on.
+    # After a blow the signal stays at its new value.
     thrown = rates + 20.0 * (t > 6.0)
     assert set(spikes_of(thrown, ticks)) <= {601}
 
 
 @pytest.mark.parametrize("cycles", [0.5, 0.45, 0.34, 0.25])
 def test_noise_and_vibration_are_no_spikes(cycles: float) -> None:
-    """Even at half the sampling rate, where each sample leaves both its neighbours."""
+    """Even at half the sampling rate, where each sample deviates from both neighbours."""
     k = np.arange(20_000)
     for signal in (
         np.cos(2.0 * np.pi * cycles * k),
         np.random.default_rng(2).normal(size=len(k)),
-        0.1 * np.round(np.random.default_rng(3).normal(0.0, 0.4, len(k))),  # coarse
+        0.1 * np.round(np.random.default_rng(3).normal(0.0, 0.4, len(k))),  # quantised
     ):
         assert spikes_of(signal) == []
 
@@ -414,7 +412,7 @@ TOO_QUIET = "too quiet: no rate moves beyond the gyro's noise"
 
 
 @pytest.mark.parametrize(
-    ("swing", "noise", "airspeed", "said"),
+    ("swing", "noise", "airspeed", "expected"),
     [
         (0.02, 0.003, None, ""),
         (0.0, 0.003, None, AT_REST),
@@ -424,13 +422,13 @@ TOO_QUIET = "too quiet: no rate moves beyond the gyro's noise"
         (0.02, 0.0001, None, ""),
         (0.0, 0.0, None, AT_REST),
         (0.0, 0.0, 6.0, AT_REST),
-        (0.0, 0.0, 7.0, TOO_QUIET),  # a third of the reference, 20 m/s, is flight
+        (0.0, 0.0, 7.0, TOO_QUIET),  # above a third of the reference, 20 m/s: flight
     ],
     ids=["a large aircraft", "on the ground", "rocked by the wind", "lost in the noise",
          "rocked more", "smoothest flight", "no noise", "taxiing", "flying"],
 )  # fmt: skip
-def test_rest_is_told_by_the_gyros_own_noise_and_by_the_airspeed(
-    swing: float, noise: float, airspeed: float | None, said: str
+def test_rest_is_detected_by_the_gyros_noise_and_by_the_airspeed(
+    swing: float, noise: float, airspeed: float | None, expected: str
 ) -> None:
     gate, rng = RestGate(), np.random.default_rng(1)
     reasons = set()
@@ -442,7 +440,7 @@ def test_rest_is_told_by_the_gyros_own_noise_and_by_the_airspeed(
         reason = gate.check(look)
         if t > 4.0:
             reasons.add(reason)
-    assert reasons == {said}
+    assert reasons == {expected}
 
 
 def test_every_gate_names_settings_that_exist() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes in how the signals are read are named; what aircraft really do is none."""
+"""Plausibility: wrong settings of the signals are named, and usual flights raise no fault."""
 
 import math
 import re
@@ -44,20 +44,20 @@ class Signals:
     fault: str = ""
 
     def findings(self, **settings: Any) -> list[str]:
-        """What is found, in the order in which it is; what is only a warning ends in a `?`."""
-        looker = Plausibility(settings_of(**settings))
+        """Return the names of the findings in their order; `?` marks a warning."""
+        checks = Plausibility(settings_of(**settings))
         found: dict[str, None] = {}
         for t in np.arange(TICK, self.t[-1] + 0.5 * TICK, TICK):
             new = (self.t > t - TICK) & (self.t <= t)
             raw = self.raw[(self.actuator_t > t - TICK) & (self.actuator_t <= t)]
-            looker.look(t, np.hstack([self.rates[new], self.force[new]]), raw)
-            found |= dict.fromkeys(f.name + "?" * (not f.fault) for f in looker.findings)
-        self.fault = looker.fault
+            checks.look(t, np.hstack([self.rates[new], self.force[new]]), raw)
+            found |= dict.fromkeys(f.name + "?" * (not f.fault) for f in checks.findings)
+        self.fault = checks.fault
         return list(found)
 
 
 def flown(duration: float = 12.0, **spec: Any) -> Signals:
-    """The signals of a flight."""
+    """The signals of a flight, with noise."""
     excitation = spec.pop("excitation", (Segment("multisine", amplitudes=PEAKS),))
     flight = flight_of(LightFlight(excitation, duration, **{"bank": 20.0, "gust": 0.3, **spec}))
     noise, t = np.random.default_rng(1), flight.time[::2]
@@ -92,18 +92,18 @@ def settings_of(**changes: Any) -> Settings:
     ],
     ids=["excited", "calm", "storm", "steep turns", "pulses"],
 )
-def test_a_flight_raises_no_alarm(spec: dict[str, Any]) -> None:
+def test_usual_flights_have_no_findings(spec: dict[str, Any]) -> None:
     assert flown(**spec).findings() == []
 
 
-@pytest.mark.parametrize(("name", "spoil", "values", "words"), MISTAKES)
-def test_a_mistake_is_named_within_ten_seconds_and_never_usable(
-    name: str, spoil: Any, values: dict[str, Any], words: str
+@pytest.mark.parametrize(("name", "spoil", "values", "expected_text"), MISTAKES)
+def test_a_wrong_setting_is_named_within_ten_seconds_and_never_usable(
+    name: str, spoil: Any, values: dict[str, Any], expected_text: str
 ) -> None:
-    """Those of the campaign, benchmarks/false_usable.py."""
+    """The wrong settings of the campaign, benchmarks/false_usable.py."""
     m = light_measured(40.0, start=0.0)
     _, estimates = identified(m if spoil is None else spoil(m), **values)
-    assert any(re.search(words, e.reason) for e in since(estimates, 0.0, 10.0))
+    assert any(re.search(expected_text, e.reason) for e in since(estimates, 0.0, 10.0))
     assert not any(e.usable for e in estimates)
 
 
@@ -121,25 +121,25 @@ def test_a_fault_stops_learning_but_can_be_switched_off() -> None:
     [(math.pi, 0.0), (0.0, math.pi / 2), (0.0, -math.pi / 2), (math.pi / 2, 0.0)],
     ids=["upside down", "x down", "x up", "on its side"],
 )
-def test_a_board_mounted_otherwise_is_named_with_the_angles_that_fit(
+def test_a_rotated_board_is_named_with_its_mounting_angles(
     rpy: tuple[float, float],
 ) -> None:
-    signals, turned = flown(), rotation(*rpy, 0.0)
-    signals.rates, signals.force = signals.rates @ turned, signals.force @ turned
+    signals, misaligned = flown(), rotation(*rpy, 0.0)
+    signals.rates, signals.force = signals.rates @ misaligned, signals.force @ misaligned
     assert signals.findings() == ["mounting"]
     assert f"[{rpy[0]:.2f}, {rpy[1]:.2f}, yaw]" in signals.fault
     assert signals.findings(imu__rpy=[*rpy, 0.0]) == []
 
 
-# --- where the borders are ----------------------------------------------------------------------
+# --- limits of the findings ---------------------------------------------------------------------
 
 
 def plain(
     force: Any = -G, rates: Any = 0.0, de: Any = 0.0, rate: float = 50.0, noise: float = 1e-6
 ) -> Signals:
-    """Nothing but a force down or of three parts, a roll or three rates, an elevator.
+    """Signals with a given force (down, or three parts), rate (roll, or three), or elevator.
 
-    Numbers, or functions of the time or, the elevator, of the sample.
+    Each is a number or a function of the time; the elevator of the sample.
     """
     t, samples = np.arange(TICK, 20.0, TICK), np.arange(round(20.0 * rate))
     forces = noise * np.random.default_rng(1).standard_normal((len(t), 3))
@@ -157,20 +157,20 @@ def tilted(degrees: float) -> Signals:
     return plain([G * math.sin(angle), 0.0, -G * math.cos(angle)])
 
 
-def rolling_to_and_fro(angle: float, speed: float) -> Signals:
-    """A mean rate of `speed` rad/s in a constant force: J0(angle) is left of gravity."""
+def rolling_back_and_forth(angle: float, speed: float) -> Signals:
+    """Rolls to and fro with a mean rate of `speed`, rad/s: the mean force is J0(angle) gravity."""
     omega = speed * math.pi / 2.0 / angle
     return plain(rates=lambda t: angle * omega * np.cos(omega * t))
 
 
 def pulling(speed: float) -> Signals:
-    """A quadrotor in aerobatics: thrust along its own axis, one g on average, far from steady."""
+    """A quadrotor in aerobatics: thrust along its own axis, 1 g on average, with strong changes."""
     pull = math.sqrt(2.0) * speed * math.radians(3.0)
     return plain(lambda t: -G - pull * np.sin(7.0 * math.pi * t), rates=3.0)
 
 
 def turning(axis: int, rate: float) -> Signals:
-    """Rolls, or loops that pull: on average the force carries the weight."""
+    """Rolls, or pulled loops: the mean force equals the weight."""
 
     def force(t: FloatArray) -> FloatArray:
         angle, zero = np.cumsum(rate * (t > 8.0)) * TICK, 0.0 * t
@@ -185,12 +185,12 @@ def swaying(middle: float) -> Signals:
 
 
 def switching(step: float, drift: float = 0.0, every: int = 2, rate: float = 50.0) -> Signals:
-    """An input that leaves its place for a sample, again and again."""
+    """An input that leaves its value for one sample, repeatedly."""
     return plain(de=lambda k: step * (k % every == every - 1) + drift * (k % 300), rate=rate)
 
 
 def pulse_widths(k: FloatArray) -> FloatArray:
-    """Of an elevator that is not armed at first."""
+    """Pulse widths of an elevator that is not armed at first."""
     return (1500.0 + 25.0 * np.sin(k)) * (k > 300)
 
 
@@ -201,7 +201,7 @@ def trim(elevator: float) -> dict[str, Any]:
 MAPPED = trim(1500.0) | {"actuators__scale": (0.002, 1.0, 1.0, 1.0)}
 LEARNED = {"actuators__learn_trim_time": 2.0, "actuators__trim": ()}
 BORDERS: list[tuple[str, Callable[[], Signals], dict[str, Any]]] = [
-    # what is found, words of it, in which signals, read how
+    # finding: part of its text, signals, settings
     ("", lambda: tilted(55.0), {}),
     ("mounting", lambda: tilted(65.0), {}),
     ("", lambda: plain(lambda t: np.where((t > 8.0) & (t < 18.0), -0.1 * G, -G)), {}),  # free fall
@@ -210,19 +210,19 @@ BORDERS: list[tuple[str, Callable[[], Signals], dict[str, Any]]] = [
     ("", lambda: plain(-4.5), {}),
     ("", lambda: plain(-55.0), {}),
     ("force size: milli-g", lambda: plain(-65.0), {}),
-    ("", lambda: plain(0.0, noise=0.0), {}),  # an accelerometer that repeats itself is none
+    ("", lambda: plain(0.0, noise=0.0), {}),  # an accelerometer that repeats itself is absent
     ("", lambda: plain([-9.81, 0.0, 0.0], noise=0.0), {}),
-    ("gyro units", lambda: rolling_to_and_fro(1.35, 5.0), {}),  # 0.6 of gravity is left
-    ("", lambda: rolling_to_and_fro(0.95, 5.0), {}),  # 0.8
-    ("gyro units", lambda: rolling_to_and_fro(1.6, 0.6), {}),
-    ("", lambda: rolling_to_and_fro(1.6, 0.4), {}),
+    ("gyro units", lambda: rolling_back_and_forth(1.35, 5.0), {}),  # 0.6 of gravity remains
+    ("", lambda: rolling_back_and_forth(0.95, 5.0), {}),  # 0.8
+    ("gyro units", lambda: rolling_back_and_forth(1.6, 0.6), {}),
+    ("", lambda: rolling_back_and_forth(1.6, 0.4), {}),
     ("gyro units", lambda: pulling(30.0), {}),
     ("", lambda: pulling(60.0), {}),
     ("", lambda: turning(0, 6.0), {}),
     ("", lambda: turning(1, 2.5), {}),
     ("", lambda: swaying(0.0), trim(-0.5)),
     ("trim", lambda: swaying(0.0), trim(-0.7)),
-    ("", lambda: swaying(0.9), trim(0.2)),  # as far from no trim as from this one
+    ("", lambda: swaying(0.9), trim(0.2)),  # as far from a trim of 0 as from this one
     ("", lambda: swaying(170.0), {}),
     ("channel range", lambda: swaying(190.0), {}),
     ("", lambda: plain(de=pulse_widths), MAPPED),
@@ -238,47 +238,47 @@ BORDERS: list[tuple[str, Callable[[], Signals], dict[str, Any]]] = [
     ("publishers", lambda: switching(0.08, 0.01), {}),
     ("", lambda: switching(1.0, every=14), {}),
     ("publishers", lambda: switching(1.0, every=7), {}),
-    # a wobble at half the rate of slow inputs looks the same
+    # an oscillation at half the rate of slow inputs is not distinguishable
     ("", lambda: switching(1.0, rate=16.0), {}),
     ("publishers", lambda: switching(1.0, rate=24.0), {}),
 ]
 
 
 @pytest.mark.parametrize("number", range(len(BORDERS)))
-def test_the_border_between_a_mistake_and_what_may_be(number: int) -> None:
+def test_findings_begin_at_their_limits(number: int) -> None:
     found, make, read = BORDERS[number]
-    name, _, words = found.partition(": ")
+    name, _, expected_text = found.partition(": ")
     signals = make()
     assert signals.findings(**(trim(0.0) | read)) == [name] * bool(name)
-    assert words in signals.fault
+    assert expected_text in signals.fault
 
 
-def test_how_long_an_aircraft_may_fly_inverted() -> None:
-    looker, nothing = Plausibility(settings_of()), np.zeros((0, 4))
+def test_inverted_flight_raises_no_fault_for_almost_two_minutes() -> None:
+    checks, nothing = Plausibility(settings_of()), np.zeros((0, 4))
     inverted = 0
     for t in range(1, 400):
         force = np.array([0.0, 0.0, -G if t <= 200 else G]) + 1e-6 * (t % 2)
-        looker.look(float(t), np.append(np.zeros(3), force)[None], nothing)
-        inverted += t > 200 and not looker.fault
-    assert 110 <= inverted <= 120  # a minute's memory turned to 0.7 the other way
+        checks.look(float(t), np.append(np.zeros(3), force)[None], nothing)
+        inverted += t > 200 and not checks.fault
+    assert 110 <= inverted <= 120  # a minute's memory changes to 0.7 of the opposite sign
 
 
-def test_evidence_is_held_and_then_forgotten() -> None:
-    """Though the Imu has fallen silent."""
-    looker, alarms = Plausibility(settings_of()), []
+def test_evidence_is_held_and_then_cleared() -> None:
+    """Without messages of the Imu, too."""
+    checks, faults = Plausibility(settings_of()), []
     for t in np.arange(TICK, 60.0, TICK):
         raw = np.array([[0.0] * 4, [0.2 * (t < 15.0)] * 4])
         motion = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, -G + 1e-6 * t]])
-        looker.look(t, motion[: int(t < 2.0)], raw)
-        alarms.append(bool(looker.fault))
-    after = np.flatnonzero(alarms) * TICK
+        checks.look(t, motion[: int(t < 2.0)], raw)
+        faults.append(bool(checks.fault))
+    after = np.flatnonzero(faults) * TICK
     assert after[0] < 6.0
-    # 4 s in which they are still looked at, and 30 s in which they are remembered
+    # 4 s in the window, and 30 s of memory
     assert after[-1] == pytest.approx(15.0 + 4.0 + 30.0, abs=1.5)
-    assert list(looker.noted) == ["publishers"]
+    assert list(checks.noted) == ["publishers"]
 
 
-# --- what the coefficients say ------------------------------------------------------------------
+# --- findings from the coefficients ---------------------------------------------------------------
 
 STRUCTURE = STRUCTURES["augmented"]
 
@@ -299,10 +299,10 @@ REVERSED = RIGHT | {"pdot/da": -45.0}
         (SWAPPED, 1.0, "swapped"),
         (SWAPPED, 9.0, "swapped"),
         (SWAPPED, 11.0, None),
-        (RIGHT | {"pdot/dr": 60.0}, 1.0, None),  # a rudder that rolls, and yaws as a rudder does
+        (RIGHT | {"pdot/dr": 60.0}, 1.0, None),  # a rudder with strong roll and the usual yaw
     ],
 )
-def test_reversed_and_swapped_channels_are_named_once_that_is_sure(
+def test_reversed_and_swapped_channels_are_named_beyond_three_sigma(
     values: dict[str, float], sigma: float, name: str | None
 ) -> None:
     spread = np.full(STRUCTURE.mask.shape, sigma)
@@ -312,21 +312,21 @@ def test_reversed_and_swapped_channels_are_named_once_that_is_sure(
 
 
 class Learning:
-    """What is told of an aircraft by what is learned of it."""
+    """Findings from the coefficients learned so far."""
 
     def __init__(self, **given: Any) -> None:
         expected = {"supervision__expected_signs": ("+pdot/da",)}
-        self.looker = Plausibility(settings_of(structure="augmented", **expected, **given))
+        self.checks = Plausibility(settings_of(structure="augmented", **expected, **given))
 
     def found(self, t: float, values: dict[str, float], sigma: float) -> list[str]:
-        """What is found at a time by what was learned until then."""
+        """Return the findings at a time, s, from the coefficients at that time."""
         nothing = np.zeros((0, 6))
-        self.looker.look(t, nothing, nothing[:, :4])
-        self.looker.judge(matrix(STRUCTURE, values), np.full(STRUCTURE.mask.shape, sigma))
-        return [finding.name for finding in self.looker.findings]
+        self.checks.look(t, nothing, nothing[:, :4])
+        self.checks.judge(matrix(STRUCTURE, values), np.full(STRUCTURE.mask.shape, sigma))
+        return [finding.name for finding in self.checks.findings]
 
 
-QUAD = {  # four motors, which lift it and turn it
+QUAD = {  # four motors: lift and all moments
     "actuators__mixing__de": (0.25, 0.25, -0.25, -0.25),
     "actuators__mixing__da": (0.25, -0.25, -0.25, 0.25),
     "actuators__mixing__dr": (0.25, -0.25, 0.25, -0.25),
@@ -342,15 +342,15 @@ QUAD = {  # four motors, which lift it and turn it
     ],
 )
 def test_a_multirotor_has_no_surfaces(given: dict[str, Any], swapped: str, reversed_: str) -> None:
-    for values, words in ((SWAPPED, swapped), (REVERSED, reversed_)):
+    for values, expected_text in ((SWAPPED, swapped), (REVERSED, reversed_)):
         learning = Learning(**given)
         for t in (1.0, 6.0):
             learning.found(t, values, 1.0)
-        assert words in learning.looker.fault
+        assert expected_text in learning.checks.fault
 
 
-def test_a_doubt_stays_until_it_is_the_less_likely() -> None:
-    """Three sigma raise it; evidence that dips below them does not begin it anew."""
+def test_a_finding_on_coefficients_stays_until_it_is_the_less_likely() -> None:
+    """A finding begins at three sigma; evidence below that does not begin it anew."""
     learning = Learning()
     for t, values, sigma, named in (
         (1.0, SWAPPED, 9.0, []),
@@ -360,33 +360,33 @@ def test_a_doubt_stays_until_it_is_the_less_likely() -> None:
         (7.0, SWAPPED, 15.0, []),
         (12.0, SWAPPED, 15.0, []),
         (13.0, SWAPPED, 9.0, []),
-        (18.0, SWAPPED, 15.0, []),  # once is chance: nobody is accused by what may be noise
+        (18.0, SWAPPED, 15.0, []),  # a single time may be chance
         (18.5, SWAPPED, 9.0, ["swapped"]),
         (25.0, SWAPPED, 50.0, ["swapped"]),
     ):
         assert learning.found(t, values, sigma) == named, t
 
 
-def test_a_reversed_surface_is_named_with_the_evidence_by_which_it_was_sure() -> None:
+def test_a_reversed_surface_is_named_with_its_strongest_evidence() -> None:
     learning = Learning()
     for t, sigma in ((1.0, 3.0), (6.0, 4.0), (7.0, 400.0)):
         learning.found(t, REVERSED, sigma)
-    assert learning.looker.fault.startswith("pdot/da is -45 +- 4, expected is +")
+    assert learning.checks.fault.startswith("pdot/da is -45 +- 4, expected is +")
 
 
-# --- settings that are off by a little ----------------------------------------------------------
+# --- small errors of the settings ---------------------------------------------------------------
 
 
 @cache
-def with_an_imu_at(height: float, told: float) -> tuple[OnlineIdentifier, Estimate]:
+def with_an_imu_at(height: float, configured: float) -> tuple[OnlineIdentifier, Estimate]:
     """Return an identifier after an excited flight with the Imu above the centre of gravity, m."""
     m = light_measured(40.0, sensors={"lever_arm": (0.0, 0.0, -height)})
-    identifier, (*_, last) = identified(m, imu__lever_arm=[0.0, 0.0, -told])
+    identifier, (*_, last) = identified(m, imu__lever_arm=[0.0, 0.0, -configured])
     return identifier, last
 
 
 @pytest.mark.parametrize("height", [0.1, -0.1])
-def test_the_height_of_the_imu_is_found_and_sigma_covers_what_it_does(height: float) -> None:
+def test_the_height_of_the_imu_is_estimated_and_sigma_covers_its_effect(height: float) -> None:
     identifier, last = with_an_imu_at(height, 0.0)
     index = identifier.structure.index("pdot/da")
     share, sigmas = light_errors(last, "pdot/da")
@@ -395,7 +395,7 @@ def test_the_height_of_the_imu_is_found_and_sigma_covers_what_it_does(height: fl
     assert share > 0.15 and sigmas < 2.0
 
 
-def test_sigma_covers_what_a_lag_takes_from_an_input_where_nothing_damps() -> None:
+def test_sigma_covers_the_loss_by_an_unseparated_lag_without_damping() -> None:
     structure = STRUCTURES["flight_dynamics"]
     values, rudder = np.zeros((5, structure.size)), structure.index("rdot/dr")
     values[rudder] = -9.0
@@ -408,38 +408,38 @@ def test_sigma_covers_what_a_lag_takes_from_an_input_where_nothing_damps() -> No
     assert setup.widened(np.full(values.shape, 0.1))[rudder] == 0.1
 
 
-def test_where_the_sum_is_told_a_lag_counts_to_second_order() -> None:
-    """Beside it counts, to first order, what the delay in use misses of the sum."""
+def test_with_a_known_sum_the_lag_error_counts_to_second_order() -> None:
+    """The error of the delay in use relative to the sum counts to first order."""
     structure = STRUCTURES["flight_dynamics"]
     values, rudder, damping = np.zeros((5, structure.size)), structure.index("rdot/dr"), 5.0
     values[rudder], values[structure.index("rdot/r")] = -9.0, -damping
-    told = DelayEstimate(0.03, 0.01, 0.03, 0.01, 9.0, 0.02, lag_sigma=0.02, hidden=0.04)
+    estimated = DelayEstimate(0.03, 0.01, 0.03, 0.01, 9.0, 0.02, lag_sigma=0.02, hidden=0.04)
     for total, missed in ((0.03, 0.0), (0.05, 0.02), (0.01, -0.02)):
         setup = SetupErrors(structure, 20.0)
-        estimate = replace(told, total=total)
+        estimate = replace(estimated, total=total)
         setup.look(values, estimate, 0.03, 0.0, lambda: np.zeros(4), 0.0, lag_is_configured=False)
-        share = damping * abs(missed) + 0.5 * (damping * told.hidden) ** 2
+        share = damping * abs(missed) + 0.5 * (damping * estimated.hidden) ** 2
         widened = setup.widened(np.full(values.shape, 1e-6))[rudder]
         assert widened == pytest.approx(9.0 * share, rel=1e-3)
 
 
-def test_a_height_that_is_told_is_none_that_is_off() -> None:
+def test_a_configured_height_is_no_error() -> None:
     identifier, last = with_an_imu_at(0.3, 0.3)
     assert identifier.estimator.height == 0.0
     assert last.usable, last.reason
 
 
-def test_no_roll_that_a_height_falsifies_by_a_quarter_is_usable() -> None:
+def test_a_roll_row_with_a_bias_of_a_quarter_by_the_height_is_not_usable() -> None:
     _, last = with_an_imu_at(-0.3, 0.0)
     assert not last.usable_rows[0]
     assert "m below where 'imu.lever_arm' puts it" in last.reason
 
 
 @pytest.mark.parametrize(("delay", "denied"), [(-0.012, False), (-0.025, True)])
-def test_inputs_that_act_before_they_are_given_deny_the_lag_in_use(
+def test_a_negative_delay_makes_the_row_with_a_lag_in_use_unusable(
     delay: float, denied: bool
 ) -> None:
-    """As little as the delay is off, all of the lag may not be there."""
+    """A small negative delay may mean that the whole lag is missing."""
     structure = STRUCTURES["flight_dynamics"]
     values, roll, lag = np.zeros((5, structure.size)), structure.index("pdot/da"), 0.06
     values[roll], values[structure.index("pdot/p")] = 60.0, -10.0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What holds for every sequence of inputs: finite and bounded estimates, whatever the batching.
+"""Properties for every sequence of inputs: finite, bounded estimates, whatever the batching.
 
-The sequences are drawn by hypothesis, by the profiles of test/conftest.py.
+Hypothesis draws the sequences, by the profiles of test/conftest.py.
 """
 
 import itertools
@@ -40,13 +40,13 @@ MS = 1_000_000
 START_NS = 1_700_000_000 * S
 
 FEWER = hypothesis_settings(max_examples=hypothesis_settings().max_examples // 5)
-"""Where one example takes a second."""
+"""For examples that take a second each."""
 
 HOSTILE = (
     math.nan, math.inf, -math.inf, 1.7e308, -1.7e308, 1e154, 5e-324, -5e-324, 2.2e-308, 1e-160,
     99.999, -99.999, 999.9, 99_999.0, -99_999.0, -0.0,
 )  # fmt: skip
-"""Values that break arithmetic, and the largest that are taken."""
+"""Values that break arithmetic, and the largest accepted ones."""
 
 ROOT_3 = math.sqrt(3.0)
 
@@ -61,7 +61,7 @@ any_stamp = st.one_of(
 
 
 def changed(values: dict[str, object]) -> Settings:
-    """Settings with what is given, as far as it goes together."""
+    """Return settings with the given values, changed where these exclude each other."""
     if (values["structure"], values["estimator"]) == ("flight_dynamics", "gradient"):
         values = values | {"estimator": "least_squares"}
     try:
@@ -99,7 +99,7 @@ any_settings = st.fixed_dictionaries(
 ).map(changed)
 
 
-# --- what can happen --------------------------------------------------------------------------
+# --- events -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -109,11 +109,11 @@ class Fly:
     seconds: float
     rate: float
     amplitude: float
-    hostility: float  # The share of values that are replaced
+    hostility: float  # Share of replaced values
     seed: int
 
     def samples(self, start_ns: int) -> Iterator[tuple[str, int, tuple[float, ...]]]:
-        """Streams, stamps and values."""
+        """Return streams, stamps and values of the samples."""
         rng = np.random.default_rng(self.seed)
         count = max(1, round(self.seconds * self.rate))
         t = np.arange(count) / self.rate
@@ -125,33 +125,33 @@ class Fly:
         offsets = np.arange(count) * round(S / self.rate) + rng.integers(0, 2, count) * MS
         for k in range(count):
             t_ns = start_ns + int(offsets[k])
-            yield "rates", t_ns, self._spoilt(rng, (*x[k], *force[k]))
+            yield "rates", t_ns, self._with_hostile(rng, (*x[k], *force[k]))
             if k % 4 == 0:
-                yield "actuators", t_ns, self._spoilt(rng, self.amplitude * u[k])
+                yield "actuators", t_ns, self._with_hostile(rng, self.amplitude * u[k])
             if k % 20 == 0:
-                yield "airspeed", t_ns, self._spoilt(rng, (20.0 + 5.0 * u[k, 0],))
+                yield "airspeed", t_ns, self._with_hostile(rng, (20.0 + 5.0 * u[k, 0],))
                 yield "armed", t_ns, (float(rng.random() < 0.9),)
 
-    def _spoilt(self, rng: np.random.Generator, values: ArrayLike) -> tuple[float, ...]:
+    def _with_hostile(self, rng: np.random.Generator, values: ArrayLike) -> tuple[float, ...]:
         hostile = rng.random(np.size(values)) < self.hostility
         chosen = rng.choice(HOSTILE, np.size(values))
         return tuple(np.where(hostile, chosen, values).tolist())
 
 
 @dataclass
-class World:
-    """An identifier, a clock, and every estimate that it has given."""
+class SimulatedRun:
+    """An identifier, a clock, and all estimates."""
 
     identifier: OnlineIdentifier
     now_ns: int = START_NS
     estimates: list[Estimate] = field(default_factory=list)
 
     def update(self) -> None:
-        """Compute what is due."""
+        """Compute all ticks that are due."""
         self.estimates += self.identifier.advance()
 
-    def live(self, event: Any) -> None:
-        """Let something happen."""
+    def apply(self, event: Any) -> None:
+        """Apply an event."""
         match event:
             case Fly():
                 for k, sample in enumerate(event.samples(self.now_ns)):
@@ -160,7 +160,7 @@ class World:
                         self.update()
                 self.now_ns += round(event.seconds * S)
                 self.update()
-            case stream, t_ns, values, times:  # five that agree are a time base
+            case stream, t_ns, values, times:  # five that agree make a time base
                 for k in range(times):
                     Message(0, stream, t_ns + k * MS, values).give(self.identifier)
                 self.update()
@@ -168,7 +168,7 @@ class World:
                 self.now_ns = max(1, self.now_ns + ns)
             case "clock shows", t_ns:
                 self.now_ns = t_ns
-            case "adapt", adapt:  # what follows comes by a service, a parameter, a jump of /clock
+            case "adapt", adapt:  # as by services, parameters, jumps of /clock
                 self.identifier.supervisor.adapt = adapt
             case "resume":
                 learned = self.identifier.coefficient_set(self.now_ns)
@@ -181,14 +181,14 @@ class World:
 
 flights = st.builds(
     Fly,
-    # What comes first is drawn most.
+    # The first values are drawn most often.
     seconds=st.sampled_from([3.0, 8.0, 1.0, 0.1]),
     rate=st.sampled_from([200.0, 50.0, 4.0]),
     amplitude=st.sampled_from([1.0, 0.1, 30.0, 1e4, 1e-9, 1e-160, 1e-310, 0.0]),
     hostility=st.sampled_from([0.0, 0.0, 0.02, 0.3]),
     seed=st.integers(0, 2**32 - 1),
 )
-gifts = st.tuples(  # with any stamp and any values, of any number
+single_samples = st.tuples(  # any stamp, and any number of any values
     st.sampled_from(["rates", "actuators", "airspeed"]),
     any_stamp,
     st.lists(any_float, min_size=1, max_size=7).map(tuple),
@@ -198,11 +198,11 @@ offsets = st.sampled_from([-3600 * S, -2 * S, -MS, 300 * MS, 2 * S, 3600 * S])
 clocks = st.tuples(st.just("clock jumps"), offsets) | st.tuples(st.just("clock shows"), any_stamp)
 adapt = st.tuples(st.just("adapt"), st.booleans())
 commands = st.sampled_from(["reset", "restart", "resume", "note_saved"]) | adapt
-events = st.one_of(flights, flights, flights, gifts, clocks, commands)
+events = st.one_of(flights, flights, flights, single_samples, clocks, commands)
 histories = st.lists(events, min_size=3, max_size=12)
 
 
-# --- no sequence of inputs yields nonsense ----------------------------------------------------
+# --- finite and bounded -----------------------------------------------------------------------
 
 
 def within(values: FloatArray, bound: float) -> bool:
@@ -210,7 +210,7 @@ def within(values: FloatArray, bound: float) -> bool:
 
 
 def check(estimate: Estimate, settings: Settings) -> None:
-    """Everything in an estimate is finite and in its bounds."""
+    """Assert that everything in an estimate is finite and within its bounds."""
     scale = LARGEST_RATIO**2 if settings.airspeed.type else 1.0
     assert within(estimate.coefficients, LARGEST_NUMBER * scale)
     assert np.isfinite(estimate.sigma).all()
@@ -230,15 +230,15 @@ def check(estimate: Estimate, settings: Settings) -> None:
         assert estimate.flow.airspeed > 0.0
 
 
-# An Imu at 4 Hz leaves two delays to choose from: no minimum among them.
+# An Imu at 4 Hz leaves only two delays, without a minimum between them.
 SLOW_IMU = [Fly(seconds, rate, 0.1, 0.0, 0) for seconds, rate in ((6.0, 4.0), (2.0, 50.0))]
 
-# PX4 stamps with 64 bits of microseconds.
+# Stamps of PX4 are 64 bits of microseconds.
 BEYOND_64_BITS = [
     ("clock shows", 2**64 * 1000), SLOW_IMU[1], ("clock shows", 2**63 - S), SLOW_IMU[1],
 ]  # fmt: skip
 
-# Signals whose squares have no number any more.
+# Signals whose squares underflow.
 DENORMAL = [Fly(3.0, 50.0, 1e-160, 0.02, 1)]
 DENORMAL_IN_THE_PAPER = [Fly(3.0, 50.0, 0.0, 0.02, 2)]
 PAPER = Settings.from_values(
@@ -256,17 +256,17 @@ PAPER = Settings.from_values(
 @example(settings=Settings(), history=BEYOND_64_BITS)
 @example(settings=Settings.from_values({"actuators.estimate_delay": True}), history=SLOW_IMU)
 @given(settings=any_settings, history=histories)
-def test_no_sequence_of_inputs_yields_nonsense(settings: Settings, history: list[Any]) -> None:
-    world = World(OnlineIdentifier(settings))
+def test_all_inputs_yield_finite_bounded_estimates(settings: Settings, history: list[Any]) -> None:
+    simulated_run = SimulatedRun(OnlineIdentifier(settings))
     for event in history:
-        world.live(event)
-    stamps = [estimate.t_ns for estimate in world.estimates]
+        simulated_run.apply(event)
+    stamps = [estimate.t_ns for estimate in simulated_run.estimates]
     assert all(0 < t_ns <= LATEST_STAMP for t_ns in stamps)
-    for estimate in world.estimates:
+    for estimate in simulated_run.estimates:
         check(estimate, settings)
-    assert np.isfinite(world.identifier.estimator.information.excitation()).all()
-    assert math.isfinite(world.identifier.delay)
-    saved = world.identifier.coefficient_set()
+    assert np.isfinite(simulated_run.identifier.estimator.information.excitation()).all()
+    assert math.isfinite(simulated_run.identifier.delay)
+    saved = simulated_run.identifier.coefficient_set()
     assert within(saved.values, LARGEST_NUMBER)
 
 
@@ -302,21 +302,21 @@ def flown(legs: list[tuple[Fly, int]]) -> list[Sample]:
 def estimates_of(
     settings: Settings, samples: list[Sample], batches: Iterator[int]
 ) -> tuple[list[Estimate], dict[str, Any]]:
-    """Estimates, and what was dropped, when ticks are computed after batches of samples."""
-    world = World(OnlineIdentifier(settings))
+    """Return estimates and dropped samples, with ticks computed after batches of samples."""
+    simulated_run = SimulatedRun(OnlineIdentifier(settings))
     left = next(batches)
     for sample in samples:
-        Message(0, *sample).give(world.identifier)
+        Message(0, *sample).give(simulated_run.identifier)
         left -= 1
         if left <= 0:
-            world.update()
+            simulated_run.update()
             left = next(batches)
-    world.update()
-    return world.estimates, world.identifier.intake.drops
+    simulated_run.update()
+    return simulated_run.estimates, simulated_run.identifier.intake.drops
 
 
 def exactly(estimate: Estimate) -> tuple[Any, ...]:
-    """Everything in an estimate, arrays as their bytes."""
+    """Return everything in an estimate, arrays as bytes."""
     return tuple(
         value.tobytes() if isinstance(value, np.ndarray) else value
         for value in vars(estimate).values()
@@ -324,7 +324,7 @@ def exactly(estimate: Estimate) -> tuple[Any, ...]:
 
 
 def shuffled(samples: list[Sample], wait_ns: int, seed: int) -> list[Sample]:
-    """Let every sample arrive up to `wait_ns` late; at 0 only the streams change places."""
+    """Return samples that arrive up to `wait_ns` late; at 0 only the streams' order changes."""
     late = np.random.default_rng(seed).integers(0, max(wait_ns, 1), len(samples))
     order = sorted(range(len(samples)), key=lambda k: samples[k][1] + int(late[k]))
     return [samples[k] for k in order]
@@ -338,12 +338,12 @@ def shuffled(samples: list[Sample], wait_ns: int, seed: int) -> list[Sample]:
     seed=st.integers(0, 2**32 - 1),
 )
 @example(settings=Settings(), legs=TWO_BASES, sizes=[97], seed=0)
-def test_batching_and_order_change_no_bit(
+def test_batching_and_order_of_arrival_do_not_change_the_estimates(
     settings: Settings, legs: list[tuple[Fly, int]], sizes: list[int], seed: int
 ) -> None:
-    """The same samples, computed one by one or in any batches, in any order that is in time.
+    """The samples are the same; batches, and any order within `input_wait`, change no bit.
 
-    What was due before the stamps jumped is computed, however late that is.
+    Ticks due before a jump of the stamps are computed even after it.
     """
     samples = flown(legs)
     reference, dropped = estimates_of(settings, samples, itertools.repeat(1))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples are used in the order of their stamps, and one outlying stamp is no new time base."""
+"""Samples are used in the order of their stamps; a single outlying stamp is no new time base."""
 
 import math
 
@@ -27,7 +27,7 @@ def filled(*stamps: int) -> SampleBuffer:
     return buffer
 
 
-def test_of_samples_with_one_stamp_the_first_to_arrive_counts() -> None:
+def test_of_samples_with_equal_stamps_the_first_to_arrive_counts() -> None:
     buffer = filled(20)
     assert [buffer.append(10, (value,)) for value in (1.0, 2.0, 3.0)] == [True, False, False]
     buffer.merge(100)
@@ -36,7 +36,7 @@ def test_of_samples_with_one_stamp_the_first_to_arrive_counts() -> None:
 
 
 @given(st.permutations(range(12)), st.lists(st.integers(0, 12), max_size=4))
-def test_whatever_the_order_of_arrival_samples_wait_for_a_tick_at_or_after_their_stamp(
+def test_samples_wait_for_a_tick_at_or_after_their_stamp_in_any_order(
     order: list[int], ticks: list[int]
 ) -> None:
     buffer = filled(*order)
@@ -52,7 +52,7 @@ S = 1_000_000_000
 
 
 def intake_at(t_ns: int) -> Intake:
-    """Return one that takes what is at most a second from this stamp."""
+    """Return an intake with this newest stamp."""
     intake = OnlineIdentifier(Settings()).intake
     assert add(intake, t_ns) is None
     return intake
@@ -63,7 +63,7 @@ def add(intake: Intake, t_ns: int) -> Drop | None:
 
 
 @pytest.mark.parametrize("jump", [-3600, -2, 2, 3600])
-def test_a_single_outlier_leaves_the_stream_alone_and_those_that_agree_are_a_new_base(
+def test_a_single_outlier_is_dropped_and_agreeing_ones_are_a_new_time_base(
     jump: int,
 ) -> None:
     intake = intake_at(10_000 * S)
@@ -74,24 +74,24 @@ def test_a_single_outlier_leaves_the_stream_alone_and_those_that_agree_are_a_new
     verdicts = [add(intake, base + k * S // 200) for k in range(IN_A_ROW)]
     assert verdicts == [Drop.OUTLYING_STAMP] * (IN_A_ROW - 1) + [None]
     assert intake.newest_ns == base + (IN_A_ROW - 1) * S // 200
-    assert intake.drops["rates"][Drop.OUTLYING_STAMP] == 1  # those that agree are not lost
+    assert intake.drops["rates"][Drop.OUTLYING_STAMP] == 1  # those that agree are kept
     assert add(intake, base + S // 10) is None
 
 
-def test_outliers_that_disagree_never_become_a_base() -> None:
+def test_outliers_that_disagree_never_become_a_time_base() -> None:
     intake = intake_at(10_000 * S)
     for k in range(50):
         assert add(intake, (20_000 + 7 * (k % 5)) * S) is Drop.OUTLYING_STAMP
 
 
-def test_a_good_sample_between_breaks_the_agreement() -> None:
+def test_a_usual_sample_between_outliers_breaks_their_agreement() -> None:
     intake = intake_at(10_000 * S)
     for k in range(1, 21):
         assert add(intake, 20_000 * S + k * S // 200) is Drop.OUTLYING_STAMP
         assert add(intake, 10_000 * S + k * S // 200) is None
 
 
-def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
+def test_stamps_beyond_the_range_of_a_message_are_dropped() -> None:
     identifier = OnlineIdentifier(Settings())
     beyond = LATEST_STAMP + 1
     for k in range(2 * IN_A_ROW):
@@ -107,16 +107,16 @@ def test_no_stamp_that_a_message_cannot_carry_is_taken() -> None:
     ("stream", "real", "beyond"),
     [
         ("rates", 4000.0 * math.pi / 180.0, 7000.0 * math.pi / 180.0),  # full scale of a gyro
-        ("force", 90.0 * 9.80665, 120.0 * 9.80665),  # of an accelerometer for shocks
+        ("force", 90.0 * 9.80665, 120.0 * 9.80665),  # full scale of an accelerometer for shocks
         ("airspeed", 900.0, 1200.0),
         ("actuators", 700_000.0, 1.2e6),  # ten times the 1/min of a small motor
         ("excitation", 700_000.0, 1.2e6),
     ],
 )
-def test_what_a_sensor_or_a_motor_can_say_is_taken_and_what_none_can_is_not(
+def test_values_within_the_range_of_sensors_and_motors_are_accepted(
     stream: str, real: float, beyond: float
 ) -> None:
-    def verdict(value: float) -> Drop | None:
+    def drop_of(value: float) -> Drop | None:
         identifier = OnlineIdentifier(Settings())
         t_ns, none = 10 * S, (0.0, 0.0, 0.0)
         if stream in ("rates", "force"):
@@ -128,8 +128,8 @@ def test_what_a_sensor_or_a_motor_can_say_is_taken_and_what_none_can_is_not(
             return identifier.add_airspeed(t_ns, value)
         return getattr(identifier, f"add_{stream}")(t_ns, (0.0, 0.0, 0.0, value))
 
-    assert verdict(real) is None
-    assert verdict(beyond) is Drop.IMPLAUSIBLE
+    assert drop_of(real) is None
+    assert drop_of(beyond) is Drop.IMPLAUSIBLE
 
 
 # --- a clock that steps ---------------------------------------------------------------------------
@@ -137,12 +137,12 @@ def test_what_a_sensor_or_a_motor_can_say_is_taken_and_what_none_can_is_not(
 MS = 1_000_000
 
 
-def arrived(
+def received(
     step: int = 0, rates_late: int = 0, late: int = 0, lost: int = 0, every: int = 20
 ) -> tuple[ClockSteps, list[int]]:
-    """Six seconds of a stream beside rates at 100 Hz; from 3 s to 5 s something happens, in ms.
+    """Return the corrected stamps, ms, of 6 s of a stream beside rates at 100 Hz.
 
-    Its clock steps for good, the rates or it arrive later, or it pauses.
+    At 3 s its clock steps. From 3 s to 5 s the rates or the stream arrive later, or it pauses.
     """
     clock, stamps = ClockSteps(), []
     events = [(t + (rates_late if 3000 <= t < 5000 else 0), 0, t) for t in range(0, 6000, 10)]
@@ -162,10 +162,10 @@ def arrived(
 
 @pytest.mark.parametrize("step", [40, 200, 900, -40, -200, -900])
 @pytest.mark.parametrize("every", [5, 20, 100])
-def test_a_clock_that_steps_is_taken_back(step: int, every: int) -> None:
-    clock, stamps = arrived(step=step, every=every)
+def test_a_step_of_the_clock_is_corrected(step: int, every: int) -> None:
+    clock, stamps = received(step=step, every=every)
     assert len(clock.steps) == 1
-    assert clock.steps[0] / MS == pytest.approx(step, abs=10.0)  # the rates come every 10 ms
+    assert clock.steps[0] / MS == pytest.approx(step, abs=10.0)  # interval of the rates
     assert stamps[-5:] == pytest.approx(range(5, 6000, every)[-5:], abs=10.0)
 
 
@@ -175,14 +175,14 @@ def test_a_clock_that_steps_is_taken_back(step: int, every: int) -> None:
     [{"rates_late": 300}, {"late": 300}, {"lost": 700}, {"late": 300, "lost": 700}],
     ids=str,
 )
-def test_what_comes_late_or_is_lost_is_no_step_of_a_clock(what: dict[str, int], every: int) -> None:
-    clock, stamps = arrived(**what, every=every)
+def test_late_or_lost_messages_are_no_step_of_the_clock(what: dict[str, int], every: int) -> None:
+    clock, stamps = received(**what, every=every)
     assert clock.steps == []
     expected = [t for t in range(5, 6000, every) if not 3000 <= t < 3000 + what.get("lost", 0)]
     assert sorted(stamps) == expected
 
 
-def test_nothing_is_a_step_before_it_is_known_what_is_usual() -> None:
+def test_no_step_is_detected_before_the_usual_delay_is_known() -> None:
     clock = ClockSteps()
     for k in range(USUAL):
         t = (k * 20 + 300 * (k > 5)) * MS

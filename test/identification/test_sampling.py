@@ -50,7 +50,7 @@ def blocks(target: Sampler, until_ns: int, start_ns: int = 0) -> Iterator[Block]
 
 
 def gridded(rates_ms: Any, inputs_ms: Any, until_ms: int, **values: Any) -> list[Block]:
-    """All blocks up to a time from still rates and inputs with these stamps."""
+    """All blocks up to a time from constant rates and inputs with these stamps."""
     target = sampler(**values)
     add_rates(target, np.rint(np.array(rates_ms) * MS))
     add_inputs(target, np.array(inputs_ms) * MS)
@@ -58,7 +58,7 @@ def gridded(rates_ms: Any, inputs_ms: Any, until_ms: int, **values: Any) -> list
 
 
 def sampled(measurements: Measurements, **changes: Any) -> tuple[Sampler, list[Block]]:
-    """A sampler that was given a whole flight, and its blocks."""
+    """A sampler with a whole flight, and its blocks."""
     target = Sampler(settings(measurements, **changes))
     for message in messages(measurements):
         stream = target.rates if message.stream == "rates" else target.raw_inputs
@@ -89,20 +89,20 @@ def misfit(measurements: Measurements, cutoff: float = 15.0, **changes: Any) -> 
 
 @pytest.mark.parametrize(("rate", "limit"), [(1000.0, 2e-5), (200.0, 5e-4), (50.0, 1e-2)])
 def test_the_filtered_equation_holds_without_noise(rate: float, limit: float) -> None:
-    """Limited by straight lines between samples: an error of second order in the interval."""
+    """The limit is of second order in the interval: samples are interpolated linearly."""
     flight = plant_flight(6.0, rate=1000.0, max_step=1e-3)
     assert misfit(measure(flight, Sensors(rate=rate))).max() < limit
 
 
 @pytest.mark.parametrize(("delay", "lag"), [(0.06, 0.0), (0.0, 0.05), (0.04, 0.05)])
-def test_delay_and_lag_leave_the_equation_as_it_was(delay: float, lag: float) -> None:
+def test_the_filtered_equation_holds_with_delay_and_lag(delay: float, lag: float) -> None:
     flight = plant_flight(6.0, delay=delay, time_constant=lag)
     assert misfit(measure(flight)).max() < 1e-3
     wrong = misfit(measure(flight), actuators__delay=0.0, actuators__time_constant=0.0)
     assert wrong.max() > 0.1
 
 
-def test_with_its_lever_arm_an_offset_accelerometer_reads_as_at_the_centre() -> None:
+def test_the_lever_arm_corrects_an_offset_accelerometer() -> None:
     flight = plant_flight(5.0, rate=1000.0, max_step=1e-3, force=ColouredNoise(0.3, 0.5))
     structure, forces = STRUCTURES["augmented"], []
     arms = ((0.0, 0.0, 0.0), (1.0, -0.3, 0.2))
@@ -111,7 +111,7 @@ def test_with_its_lever_arm_an_offset_accelerometer_reads_as_at_the_centre() -> 
         own = measure(flight, Sensors(1000.0, lever_arm=arm))
         forces.append(np.concatenate([svf.apply(b, b.x).f[:, 13:] for b in sampled(own)[1]]))
     uncorrected = flight.force_at(arms[1])[:, 1:] - flight.force_at(arms[0])[:, 1:]
-    # Half a cell is left: held inputs make the accelerations jump between two samples.
+    # The rest is half a cell: held inputs make the accelerations jump between two samples.
     assert np.abs(forces[1] - forces[0]).max() < 0.01 * np.abs(uncorrected).max()
 
 
@@ -119,7 +119,7 @@ def test_with_its_lever_arm_an_offset_accelerometer_reads_as_at_the_centre() -> 
 
 
 @pytest.mark.parametrize("rate", [20, 50, 200, 333, 1000])
-def test_the_rate_is_found_and_every_sample_lies_on_the_grid(rate: int) -> None:
+def test_the_grid_has_the_imus_rate_and_contains_every_sample(rate: int) -> None:
     target = sampler()
     stamps = 7 * MS + np.rint(np.arange(int(2 * rate)) * 1e9 / rate).astype(np.int64)
     rates = np.random.default_rng(6).normal(size=(len(stamps), 3))
@@ -145,7 +145,7 @@ def test_the_rate_is_found_and_every_sample_lies_on_the_grid(rate: int) -> None:
     ],
     ids=["a link loses every other sample at first", "samples are dropped", "1 kHz at most"],
 )
-def test_the_grid_has_the_rate_of_the_imu_whatever_is_lost(stamps_ms: Any, h: float) -> None:
+def test_the_grid_has_the_rate_of_the_imu_despite_lost_samples(stamps_ms: Any, h: float) -> None:
     assert gridded(stamps_ms, range(0, 2000, 20), 2000)[0].h == pytest.approx(h)
 
 
@@ -157,7 +157,7 @@ def test_an_imu_of_20_hz_is_used_after_a_second() -> None:
 
 
 @pytest.mark.parametrize(("gap_ms", "restarts"), [(150, 0), (250, 1)])
-def test_only_a_long_gap_in_the_rates_restarts(gap_ms: int, restarts: int) -> None:
+def test_only_a_long_gap_in_the_rates_begins_a_new_stretch(gap_ms: int, restarts: int) -> None:
     stamps_ms = [*range(0, 1000, 5), *range(1000 + gap_ms, 2500, 5)]
     got = gridded(stamps_ms, range(0, 2500, 20), 2500)
     assert sum(block.restarted for block in got) == 1 + restarts
@@ -165,8 +165,8 @@ def test_only_a_long_gap_in_the_rates_restarts(gap_ms: int, restarts: int) -> No
     assert covered == (2495 - restarts * (gap_ms + 5)) * MS
 
 
-def test_inputs_at_no_steady_rate_are_held_until_the_timeout() -> None:
-    """Sent on change only: no message means no change."""
+def test_inputs_at_an_irregular_rate_are_held_until_the_timeout() -> None:
+    """Messages are sent on change only."""
     sent = np.cumsum(np.tile([10, 10, 250, 30, 300, 10, 380], 8))
     sent = sent[sent < 4000]
     got = gridded(range(0, 6000, 5), [0, *sent], 6000, actuators__timeout=0.4)
@@ -175,15 +175,15 @@ def test_inputs_at_no_steady_rate_are_held_until_the_timeout() -> None:
 
 
 @pytest.mark.parametrize(("lost_ms", "restarts"), [(90, 0), (150, 1)])
-def test_quick_inputs_are_held_for_a_tenth_of_a_second(lost_ms: int, restarts: int) -> None:
-    """Five intervals of 10 ms are less: a few lost messages are no reason to begin anew."""
+def test_frequent_inputs_are_held_for_a_tenth_of_a_second(lost_ms: int, restarts: int) -> None:
+    """Five intervals of 10 ms would be less: a few lost messages begin no new stretch."""
     sent_ms = [*range(0, 1010, 10), *range(1000 + lost_ms, 3000, 10)]
     got = gridded(range(0, 3000, 5), sent_ms, 3000)
     assert sum(block.restarted for block in got) == 1 + restarts
 
 
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
-def test_stale_inputs_pause_and_fresh_ones_restart(interpolation: str) -> None:
+def test_stale_inputs_pause_and_new_ones_begin_a_new_stretch(interpolation: str) -> None:
     sent_ms = [*range(0, 1000, 20), *range(2500, 4000, 20)]
     got = gridded(range(0, 4000, 5), sent_ms, 4000, actuators__interpolation=interpolation)
     assert [int(b.t_ns[0]) // MS for b in got if b.restarted] == [0, 2500]
@@ -192,8 +192,8 @@ def test_stale_inputs_pause_and_fresh_ones_restart(interpolation: str) -> None:
     assert int(paused[-1].t_ns[-1]) == last * MS
 
 
-def test_a_straight_input_line_waits_for_its_end() -> None:
-    """Cells are cut only where the line is known: ticks between samples must not show."""
+def test_linear_interpolation_waits_for_the_next_input_sample() -> None:
+    """The ticks between two samples do not change the cells."""
     stamps = np.arange(0, 2000, 70) * MS
     ramp = stamps * 1e-9
     target = sampler(actuators__interpolation="linear")
@@ -211,7 +211,7 @@ def test_a_straight_input_line_waits_for_its_end() -> None:
 @pytest.mark.parametrize(
     ("trim_time", "inputs", "missing"), [(0.0, [], "actuators"), (1.0, [0], "trim")]
 )
-def test_without_inputs_or_with_stale_ones_to_learn_from_no_block_is_made(
+def test_without_inputs_or_a_learned_trim_no_block_is_made(
     trim_time: float, inputs: list[int], missing: str
 ) -> None:
     target = sampler(actuators__learn_trim_time=trim_time)
@@ -224,7 +224,7 @@ def test_without_inputs_or_with_stale_ones_to_learn_from_no_block_is_made(
 @pytest.mark.parametrize(("turning", "sway", "steady"), [
     (0.08, 0.0, True), (0.0, 0.08, True), (-0.12, 0.0, False), (0.0, 0.12, False),
 ])  # fmt: skip
-def test_a_slow_turn_and_light_gusts_are_steady_flight(
+def test_the_trim_is_learned_in_a_slow_turn_and_in_light_gusts(
     turning: float, sway: float, steady: bool
 ) -> None:
     target = sampler(actuators__learn_trim_time=2.0)
@@ -236,7 +236,7 @@ def test_a_slow_turn_and_light_gusts_are_steady_flight(
 
 
 def test_a_learned_trim_is_an_average_over_time() -> None:
-    """One channel value that stood for most of the window counts for most of it."""
+    """A value that lasts most of the window has most of the weight."""
     target = sampler(actuators__learn_trim_time=1.0, actuators__timeout=2.0)
     add_rates(target, range(0, 1100 * MS, 5 * MS))
     add_inputs(target, [0], 1.0)
@@ -249,8 +249,7 @@ def test_a_learned_trim_is_an_average_over_time() -> None:
 
 
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
-def test_cell_means_of_irregular_samples(interpolation: str) -> None:
-    """By brute force, on a fine grid of midpoints."""
+def test_cell_means_of_irregular_samples_equal_those_on_a_fine_grid(interpolation: str) -> None:
     rng = np.random.default_rng(1)
     t_ns = np.sort(rng.choice(np.arange(200), 40, replace=False)).astype(np.int64) * MS
     u = rng.normal(size=(40, 4))
@@ -276,8 +275,8 @@ def test_servo_lag_is_exact_for_inputs_held_over_the_cells() -> None:
         state = command + (state - command) * np.exp(-h / tau)
 
 
-def test_with_another_lag_a_stretch_begins_where_the_inputs_are() -> None:
-    """They do not come up from zero with the new lag; it may change while blocks are taken."""
+def test_a_change_of_lag_begins_a_stretch_at_the_current_inputs() -> None:
+    """The lagged inputs do not start at zero. The lag may change between blocks."""
     target, found = sampler(), []
     add_rates(target, range(0, 2000 * MS, 10 * MS))
     add_inputs(target, range(0, 2000 * MS, 10 * MS), 0.2)
@@ -300,7 +299,7 @@ def test_a_motors_thrust_follows_its_curve() -> None:
     u = mapping.apply(np.array([600.0, 0.6, 0.6, 0.5]))
     mixed = 0.3 * (0.36 - 0.25) + 0.7 * 0.1
     np.testing.assert_allclose(u, [0.36 - 0.25, mixed, 0.1, 0.0], atol=1e-12)
-    # over a cell it is the thrust that is averaged, not the command
+    # the mean over a cell is that of the thrust, not of the command
     t = np.arange(4, dtype=np.int64) * 10_000_000
     raw = np.array([[400.0, 0.4, 0.4, 0.4], [600.0, 0.6, 0.6, 0.6]] * 2)
     edges = np.array([0, 40_000_000], dtype=np.int64)

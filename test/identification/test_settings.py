@@ -30,7 +30,7 @@ PAPER = DIFFERENCES | {"estimator": "gradient", "structure": "baseline"}
 
 
 @pytest.mark.parametrize(
-    ("values", "words"),
+    ("values", "text"),
     [
         ({"filter.method": "wavelet"}, "'filter.method' is 'wavelet': allowed are state_variable"),
         (DIFFERENCES, "'filter.method' .*use 'state_variable'"),
@@ -45,12 +45,12 @@ PAPER = DIFFERENCES | {"estimator": "gradient", "structure": "baseline"}
         ),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(values: dict[str, Any], words: str) -> None:
-    with pytest.raises(SettingsError, match=words) as caught:
+def test_impossible_settings_are_refused_by_name(values: dict[str, Any], text: str) -> None:
+    with pytest.raises(SettingsError, match=text) as caught:
         Settings.from_values(values)
-    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)  # from a worker
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)  # as by workers
 
 
-def test_an_empty_list_of_rcl_is_one() -> None:
-    """It reads ``trim: []`` as nothing."""
+def test_an_empty_value_from_rcl_is_an_empty_list() -> None:
+    """rcl reads ``trim: []`` as no value."""
     assert Settings.from_values({"actuators.trim": None}).actuators.trim == ()

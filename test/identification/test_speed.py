@@ -18,7 +18,7 @@ from uav_ident_ros.simulation.plant import vehicle
 
 RATE = 200.0
 STEPS = 2
-"""Of the integration, between two samples."""
+"""Integration steps between two samples."""
 REFERENCE = 20.0
 START_NS = 1_700_000_000 * 10**9
 PLANT = vehicle("small_uav")
@@ -26,7 +26,7 @@ STRUCTURE = STRUCTURES[PLANT.structure]
 
 
 def airspeed(t: FloatArray) -> FloatArray:
-    """Slow swings between 14 and 28 m/s."""
+    """Slow variation between 14 and 28 m/s."""
     return 21.0 + 7.0 * np.sin(2 * np.pi * t / 40.0)
 
 
@@ -46,7 +46,7 @@ def flown() -> tuple[FloatArray, FloatArray, FloatArray]:
     for k in range(len(t) - 1):
         x[k + 1], h = x[k], 1.0 / RATE / STEPS
         a = scaled(float(airspeed(t[k])))
-        for _ in range(STEPS):  # by the midpoint rule
+        for _ in range(STEPS):  # midpoint rule
             middle = x[k + 1] + 0.5 * h * (a @ STRUCTURE.regressor(x[k + 1], u[k]))
             x[k + 1] += h * (a @ STRUCTURE.regressor(middle, u[k]))
     return t, x, u
@@ -70,7 +70,7 @@ def identify(**values: Any) -> tuple[OnlineIdentifier, Estimate]:
     return identifier, estimates[-1]
 
 
-def test_one_set_of_coefficients_over_all_speeds() -> None:
+def test_one_set_of_coefficients_holds_at_all_airspeeds() -> None:
     measured = {"airspeed.type": "std_msgs/msg/Float64", "airspeed.reference": REFERENCE}
     identifier, estimate = identify(**measured)
     assert worst_linear(identifier.coefficient_set().values, PLANT.coefficients) < 0.02
@@ -87,9 +87,7 @@ def test_without_an_airspeed_the_scaling_is_off() -> None:
 @pytest.mark.parametrize(
     ("speed", "ratio"), [(200.0, 3.0), (1.0, 1.0 / 3.0), (0.0, 1.0 / 3.0), (40.0, 2.0)]
 )
-def test_beyond_three_times_the_reference_the_law_is_not_believed(
-    speed: float, ratio: float
-) -> None:
+def test_the_scaling_is_limited_to_three_times_the_reference(speed: float, ratio: float) -> None:
     scaling = SpeedScaling(AirspeedSettings("std_msgs/msg/Float64", REFERENCE), STRUCTURE)
     scaling.airspeed.append(START_NS, (speed,))
     scaling.airspeed.merge(START_NS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The running fit, the states and the verdict, both ways."""
+"""The running fit, the states, and the verdict."""
 
 from copy import deepcopy
 from functools import cache
@@ -20,7 +20,7 @@ def flown(measurements: Measurements, **changes: Any) -> tuple[OnlineIdentifier,
     return flying.identified(measurements, **{"structure": "throttle_coupled", **changes})
 
 
-def test_a_good_identification_is_usable_but_not_before_it_could_be_judged() -> None:
+def test_a_good_identification_is_usable_but_not_in_its_first_half_minute() -> None:
     _, estimates = flown(flying.measured(35.0))
     last = estimates[-1]
     assert (last.usable, last.state, last.reason) == (True, "converged", "")
@@ -31,7 +31,7 @@ def test_a_good_identification_is_usable_but_not_before_it_could_be_judged() -> 
     assert {e.state for e in early} == {"waiting", "learning"}
 
 
-def test_samples_that_come_more_slowly_than_ticks_are_not_waited_for() -> None:
+def test_learning_does_not_pause_for_samples_slower_than_ticks() -> None:
     slow = measure(flying.plant_flight(20.0), Sensors(rate=10.0, gyro_noise=0.02), seed=2)
     _, estimates = flown(slow)
     states = [estimate.state for estimate in estimates]
@@ -43,25 +43,25 @@ def test_samples_that_come_more_slowly_than_ticks_are_not_waited_for() -> None:
 
 
 def quiet_after(seconds: float, **changes: Any) -> Measurements:
-    """Half a minute in gusts without an excitation, after so long of one."""
+    """Half a minute in gusts without excitation, after `seconds` of it."""
     segment = Segment("multisine", duration=seconds, amplitudes=flying.AMPLITUDES, seed=1)
     gusts = ColouredNoise(0.3, 0.3)
     return flying.measured(seconds + 30.0, segments=(segment,), gusts=gusts, **changes)
 
 
-def test_quiet_flight_teaches_next_to_nothing() -> None:
+def test_quiet_flight_hardly_changes_the_coefficients() -> None:
     _, estimates = flown(quiet_after(20.0, autopilot=True))
     at_pause = estimates[26 * 20]
     assert at_pause.state == "paused"
     assert at_pause.reason.startswith("too little excitation")
-    # What little it counts moves the last digits alone.
+    # The small weight changes the last digits only.
     moved = np.abs(estimates[-1].coefficients - at_pause.coefficients)
     assert (moved <= 0.05 * at_pause.sigma).all()
 
 
 @pytest.mark.parametrize(("max_age", "usable"), [(15.0, False), (0.0, True)])
-def test_what_was_usable_grows_stale_in_quiet_flight(max_age: float, usable: bool) -> None:
-    """Unless it may grow as old as it will."""
+def test_a_usable_model_expires_in_quiet_flight(max_age: float, usable: bool) -> None:
+    """Without a largest age it does not expire."""
     _, estimates = flown(quiet_after(35.0), supervision__max_age=max_age)
     assert estimates[41 * 20].usable
     assert estimates[-1].usable == usable
@@ -70,7 +70,7 @@ def test_what_was_usable_grows_stale_in_quiet_flight(max_age: float, usable: boo
 
 @cache
 def learned(max_age: float) -> tuple[OnlineIdentifier, list[flying.Message]]:
-    """An identifier that is usable after 35 s, and what comes then."""
+    """Return an identifier that is usable after 35 s, and the later messages."""
     flight = flying.measured(42.0)
     stream = flying.messages(flight)
     then_ns = stream[0].t_ns + 35_000_000_000
@@ -84,10 +84,10 @@ def learned(max_age: float) -> tuple[OnlineIdentifier, list[flying.Message]]:
     ("what", "max_age", "usable"),
     [("silent", 5.0, False), ("silent", 0.0, True), ("saturated", 5.0, False), ("off", 5.0, True)],
 )
-def test_what_was_usable_grows_stale_while_nothing_can_be_learned(
+def test_a_usable_model_expires_while_learning_is_impossible(
     what: str, max_age: float, usable: bool
 ) -> None:
-    """The actuators are silent, or the gyro saturated; with learning switched off it may stay."""
+    """The actuators are silent, or the gyro is saturated. With learning off it does not expire."""
     identifier, rest = deepcopy(learned(max_age))
     identifier.supervisor.adapt = what != "off"
     if what == "silent":
@@ -100,7 +100,7 @@ def test_what_was_usable_grows_stale_while_nothing_can_be_learned(
     assert estimates[-1].usable == usable
 
 
-def test_without_adapting_the_fit_tells_the_axis_whose_coefficient_is_wrong() -> None:
+def test_without_adaptation_the_fit_is_low_on_the_axis_with_a_wrong_value() -> None:
     flight = flying.plant_flight(12.0)
     measurements = measure(flight, Sensors(gyro_noise=0.0), seed=2)
     assert flight.coefficients is not None
@@ -116,7 +116,7 @@ def test_without_adapting_the_fit_tells_the_axis_whose_coefficient_is_wrong() ->
 
 
 @pytest.mark.parametrize(("travel", "misses"), [(0.03, True), (np.inf, False)])
-def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool) -> None:
+def test_a_limit_of_travel_without_a_setting_is_named(travel: float, misses: bool) -> None:
     m = flying.light_measured(40.0, {"de": 0.15, "dr": 0.2, "da": 0.15}, travel=travel)
     _, estimates = flying.identified(m)
     late = [estimate.reason for estimate in estimates[-100:]]
@@ -124,13 +124,13 @@ def test_a_limit_of_travel_that_nobody_told_is_named(travel: float, misses: bool
     assert any(estimate.usable for estimate in estimates[-100:]) != misses
 
 
-def test_no_more_is_missing_than_all() -> None:
-    """A model of the wrong sign misses more than there is."""
+def test_a_reason_names_at_most_100_percent_of_missing_effect() -> None:
+    """A model of the wrong sign misses more than the whole effect."""
     assert supervision._incomplete(2, 3.47, 4.0).startswith("rdot follows dr badly: 100 % of")
 
 
 @pytest.mark.parametrize(
     ("share", "t_ratio", "misses"), [(0.24, 4.0, False), (0.26, 4.0, True), (0.26, 3.0, False)]
 )
-def test_a_model_may_miss_one_in_the_t_ratio(share: float, t_ratio: float, misses: bool) -> None:
+def test_model_error_limit_is_1_over_t_ratio(share: float, t_ratio: float, misses: bool) -> None:
     assert bool(supervision._incomplete(0, share, t_ratio)) == misses
