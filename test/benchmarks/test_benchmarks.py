@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The yardsticks themselves: fits, rival filters, flights, mutated files, the walk of a sample."""
+"""The benchmarks: output-error fits, adaptive filters, flights, mutated files, sample path."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -40,17 +40,17 @@ def case_of(flight: Flight, **sensors: Any) -> cases.Case:
     return cases.measured(measure(flight, Sensors(**sensors), seed=1))
 
 
-def test_output_error_recovers_the_truth_without_noise(flight: Flight) -> None:
+def test_output_error_recovers_the_true_coefficients_without_noise(flight: Flight) -> None:
     case = case_of(flight)
     truth = cases.truth_in(STRUCTURE, flight)
     found = output_error.fit(case, case.settings(PAPER), [0.6 * truth])
     mask = STRUCTURE.mask
-    # The prior pulls the rate products by its own small weight.
+    # The weak prior leaves a small bias in the rate products.
     assert np.abs(found - truth)[mask].max() < 1e-3 * np.abs(truth).max()
     assert not found[~mask].any()
 
 
-def test_the_rival_filter_finds_the_truth_in_the_same_samples(flight: Flight) -> None:
+def test_recursive_least_squares_recovers_the_dominant_coefficients(flight: Flight) -> None:
     track, recorder = adaptive_filters.recorded(case_of(flight, gyro_noise=0.002), PAPER)
     found = adaptive_filters.run_filter("RLS", adaptive_filters.RLS_FORGETTING, recorder)
     assert 0.9 * len(track.t_ns) < len(found) <= len(track.t_ns)
@@ -72,7 +72,7 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does(
     assert set(SELECTIONS) >= {cases.LAST_PART}
     np.testing.assert_allclose(fits.model, replayed.model, rtol=1e-9)
     np.testing.assert_allclose(fits.measured_force, replayed.measured_force, rtol=1e-9)
-    # An offline fit has the forces; the paper's structure takes none.
+    # An offline fit has measured forces; the paper's structure has no force regressors.
     np.testing.assert_array_equal(cases.given_force(fits), fits.measured_force)
     assert not np.isnan(fits.measured_force).any()
     without = replace(fits, measured_force=np.full(3, np.nan))
@@ -80,14 +80,14 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does(
 
 
 @pytest.mark.parametrize("name", flights.definitions())
-def test_every_definition_can_be_flown(name: str) -> None:
+def test_every_flight_definition_has_a_plan_and_a_consistent_rate(name: str) -> None:
     own = flights.definition(name)
     plan = flights.plan_of(own)
     assert plan.duration > 0.0 and own["description"] and "seed" in own
     assert plan.rate % flights.sensors_of(own).rate == 0.0
 
 
-def test_a_loaded_flight_is_kept_and_the_same(
+def test_a_loaded_flight_is_cached_unchanged_for_each_seed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(flights, "CACHE", tmp_path)
@@ -103,7 +103,7 @@ def test_a_loaded_flight_is_kept_and_the_same(
     assert np.any(other.rates != first.rates)
 
 
-def test_the_key_follows_what_is_flown_and_not_what_measures_it() -> None:
+def test_the_cache_key_depends_on_the_flight_and_not_on_the_sensors() -> None:
     own = flights.definition("exact_gusts_10")
     assert flights.key_of(own) == flights.key_of({**own, "sensors": {}, "description": "x"})
     assert flights.key_of(own) != flights.key_of({**own, "delay": 0.01})
@@ -131,7 +131,7 @@ def test_the_aircraft_has_its_declared_derivatives() -> None:
         assert found[name] == pytest.approx(value, rel=0.1, abs=0.1), name
 
 
-def test_the_walk_of_a_sample_leads_through_the_parts_in_their_order(
+def test_the_path_of_a_sample_starts_at_the_feed_and_passes_the_stages(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.setattr(sample_walk, "LEARNING", 1.0)
@@ -154,7 +154,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("kind", COUNTS)
-def test_mutated_files(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
+def test_mutated_files_cause_no_crash(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
     outcomes = [fuzz.judge((kind, str(whole[kind]), s, str(tmp_path))) for s in range(COUNTS[kind])]
     failed = [outcome.printed for outcome in outcomes if outcome.result == "FAILED"]
     assert not failed, failed[0]
@@ -162,7 +162,7 @@ def test_mutated_files(kind: str, whole: dict[str, Path], tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("kind", COUNTS)
-def test_whole_files_are_read(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
+def test_undamaged_files_read_in_full(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
     copy = tmp_path / whole[kind].name
     copy.write_bytes(whole[kind].read_bytes())
     read = fuzz.read_bag if kind.startswith("mcap") else fuzz.read_log

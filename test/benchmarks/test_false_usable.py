@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The judge of the verdict itself: what is wrong, and against which truth."""
+"""False `usable` verdicts: the criterion of a wrong derivative, and the true derivatives."""
 
 from dataclasses import replace
 from functools import partial
@@ -16,7 +16,7 @@ from light_aircraft import TRUTH
 from uav_ident_ros.identification.structure import STRUCTURES
 
 
-def test_wrong_is_far_off_and_sure_of_it() -> None:
+def test_a_wrong_derivative_has_a_large_error_and_a_small_sigma() -> None:
     value = np.array([40.0, 20.0, 20.0, -20.0, -2.0, 10.0])
     spread = np.array([1.0, 1.0, 10.0, 1.0, 20.0, 1.0])
     truth = np.array([45.0, 45.0, 45.0, 45.0, 45.0, 0.0])
@@ -26,7 +26,7 @@ def test_wrong_is_far_off_and_sure_of_it() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(STRUCTURES))
-def test_whole_derivatives_of_the_true_coefficients_are_the_truth(name: str) -> None:
+def test_whole_derivatives_of_the_true_coefficients_are_the_true_derivatives(name: str) -> None:
     structure = STRUCTURES[name]
     values = verdict_flights.coefficients(structure, TRUTH)[None]
     for derivative in false_usable.MAIN:
@@ -34,10 +34,10 @@ def test_whole_derivatives_of_the_true_coefficients_are_the_truth(name: str) -> 
         assert value[0] == pytest.approx(TRUTH[derivative])
 
 
-def test_every_class_flies_and_a_failure_changes_the_truth() -> None:
+def test_every_class_has_flights_and_a_failure_changes_the_true_derivative() -> None:
     trials = verdict_flights.trials(list(verdict_flights.CLASSES), (1, 2))
     assert len(trials) >= 40
-    # recorded flights are not of the repository
+    # the repository has no recorded flights
     assert {trial.kind for trial in trials} | {"recorded"} == set(verdict_flights.CLASSES)
     reversed_ = next(t for t in trials if t.name == "c172p, dr x -1 after the excitation")
     flight = partial(reversed_.fly, duration=80.0)().flight
@@ -45,7 +45,7 @@ def test_every_class_flies_and_a_failure_changes_the_truth() -> None:
     assert verdict_flights.truth(flight, 76.0)["rdot/dr"] == pytest.approx(4.19, rel=0.01)
 
 
-def test_a_clean_flight_is_usable_and_right() -> None:
+def test_a_clean_flight_is_usable_without_wrong_derivatives() -> None:
     trial = verdict_flights.trials(["clean"], (1,), 0.5)[0]
     outcome = false_usable.run(trial, "")
     assert outcome.usable > 0.9
@@ -53,7 +53,7 @@ def test_a_clean_flight_is_usable_and_right() -> None:
     assert "clean" in false_usable.report([outcome])
 
 
-def test_a_flight_comes_back_from_a_bag_as_it_is() -> None:
+def test_a_flight_through_a_bag_gives_the_same_coefficients() -> None:
     trial = next(t for t in verdict_flights.trials(["clean"], (1,), 0.35) if t.replayed)
     replayed = false_usable.run(trial, "")
     direct = false_usable.run(replace(trial, replayed=False), "")

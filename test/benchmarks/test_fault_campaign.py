@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The campaign of faults: what it counts, and a short form of it."""
+"""The fault campaign: recovery times and detection times."""
 
 from typing import Any
 
@@ -22,15 +22,15 @@ def flight(errors: list[float], lost: float | None = None, **values: Any) -> dic
     [
         ([1.0, 1.1, 1.0, 1.2], 0.0),
         ([3.0, 2.0, 1.1, 1.0], 2.0),
-        ([3.0, 1.0, 2.0, 1.0], 3.0),  # for good: once back is not enough
+        ([3.0, 1.0, 2.0, 1.0], 3.0),  # a later excursion restarts the recovery
         ([3.0, 3.0, 3.0, 3.0], None),
     ],
 )
-def test_recovered_is_for_good(errors: list[float], expected: float | None) -> None:
+def test_recovery_follows_the_last_excursion(errors: list[float], expected: float | None) -> None:
     assert fault_campaign.recovered(flight(errors), flight([1.0] * 4)) == expected
 
 
-def test_only_the_axis_concerned_and_what_comes_after_counts_as_noticed() -> None:
+def test_a_fault_is_detected_by_later_changes_on_its_own_axis_alone() -> None:
     outcome = Outcome(
         changes=[(3.0, "pdot/da"), (12.0, "qdot/de"), (15.0, "pdot/da")],
         sources=[(0.0, ("nominal",) * 3), (14.0, ("measured", "nominal", "nominal"))],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may go wrong around the loop: what the program counts."""
+"""Hazards of the closed loop: the altered messages and the list of lost aircraft."""
 
 import loop_hazards
 import numpy as np
@@ -19,7 +19,7 @@ RNG = np.random.default_rng(0)
         ("silent for 2 s, elevator halved in it", 19.0, [], 1.0),
     ],
 )
-def test_messages_arrive_as_the_hazard_says(
+def test_each_hazard_alters_stamps_count_and_effects_of_messages(
     hazard: str, t: float, stamps: list[int], share: float
 ) -> None:
     sent = coefficients()
@@ -29,7 +29,7 @@ def test_messages_arrive_as_the_hazard_says(
         assert found[-1].values[0, 10] == pytest.approx(share * sent.values[0, 10])
 
 
-def test_a_loop_that_is_lost_where_the_fixed_one_survives_is_named() -> None:
+def test_aircraft_lost_where_the_fixed_loop_survives_are_listed() -> None:
     flown = {"lost": None, "errors": [[1.0, 2.0, 3.0]] * 3, "sources": [["nominal"]] * 3}
     gone = {**flown, "lost": 12.3, "errors": []}
     found = {"fog: kite": (gone, flown), "none: kite": (flown, flown), "rain: kite": (gone, gone)}

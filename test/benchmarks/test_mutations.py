@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mutation run finds the constants, changes nothing else, and its named tests exist."""
+"""The mutation run: it finds the constants, changes one at a time, and its tests exist."""
 
 import mutations
 import pytest
@@ -8,7 +8,7 @@ LIMIT = 46
 """Constants of the core; a new one replaces an old one."""
 
 
-def test_constants_are_found_and_changed_alone() -> None:
+def test_constants_are_found_and_one_line_changes() -> None:
     found = set(mutations.constants("gates")) | set(mutations.constants("scales"))
     assert {"REST_SWAY", "IN_A_ROW"} <= found
     assert "SIGNALS" not in found  # not a number
@@ -34,20 +34,20 @@ def test_every_form_of_a_constant_is_changed(declared: str, changed: object) -> 
     assert namespace["C"] == changed
 
 
-def test_what_follows_from_others_or_nobody_chose_is_no_constant() -> None:
+def test_derived_and_physical_values_are_not_mutated() -> None:
     assert "OUTLYING" not in mutations.constants("scales")  # the square of SURE
     assert "GRAVITY" not in mutations.constants("model")
     assert "LARGEST_RATE" not in mutations.constants("model")  # the score is clipped there
     assert "STEP" in mutations.constants("scales")
 
 
-def test_the_core_has_no_more_constants_than_it_had() -> None:
+def test_the_core_stays_within_the_limit_of_constants() -> None:
     core = mutations.ROOT / mutations.CORE
     modules = [".".join(p.relative_to(core).with_suffix("").parts) for p in core.rglob("*.py")]
     assert sum(len(list(mutations.constants(module))) for module in modules) <= LIMIT
 
 
-def test_the_tests_named_exist() -> None:
+def test_the_named_tests_exist() -> None:
     for module in mutations.TESTS:
         assert len(mutations.tests_of(module)) == len(mutations.TESTS[module]), module
     assert mutations.tests_of("plausibility")
