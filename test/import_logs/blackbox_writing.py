@@ -20,7 +20,7 @@ SIGNED = [0, 0, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0]
 
 
 def variable(value: int, signed: int) -> bytes:
-    """Seven bits a byte, the least first; signed ones zigzag."""
+    """Encode seven bits a byte, least significant first; signed values by zigzag."""
     number = (value << 1) ^ (value >> 31) if signed else value
     number &= 0xFFFFFFFF
     result = bytearray()
@@ -31,7 +31,7 @@ def variable(value: int, signed: int) -> bytes:
 
 
 def blackbox(count: int = COUNT, fields: list[str] = FIELDS, **others: object) -> bytes:
-    """One log: headers and frames."""
+    """Return one log: headers and frames."""
     kept = [FIELDS.index(name) for name in fields]
     signed = [SIGNED[i] for i in kept]
     headers = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs imported by the command, as a user does."""
+"""Fixture for logs imported by the command."""
 
 from pathlib import Path
 
@@ -10,5 +10,5 @@ from programs import Capture
 
 @pytest.fixture
 def importer(tmp_path: Path, capsys: Capture) -> Importer:
-    """Imports logs into bags of one folder."""
+    """Return an importer of logs into bags of one folder."""
     return Importer(tmp_path, capsys)

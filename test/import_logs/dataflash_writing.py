@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ArduPilot logs for the tests, as its documentation describes them; pymavlink reads them, too."""
+"""ArduPilot logs for the tests, in the documented format; pymavlink reads them, too."""
 
 import itertools
 import struct

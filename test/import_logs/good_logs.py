@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A good log of each kind, to be spoilt."""
+"""A valid log of each kind, for tests to damage."""
 
 from pathlib import Path
 
@@ -27,13 +27,13 @@ TABLE = "t,p,q,r,de\n" + "".join(f"{0.01 * i:.2f},0.1,0.2,0.3,{0.01 * i}\n" for 
 
 
 def written(path: Path, content: bytes) -> Path:
-    """A file with this content."""
+    """Write a file with this content; return its path."""
     path.write_bytes(content)
     return path
 
 
 def ulog(folder: Path, share: float = 1.0) -> Path:
-    """A PX4 log, or the first share of it."""
+    """Write a PX4 log, or its first part; return its path."""
     topics = {
         key: {field: v[: int(share * len(v))] for field, v in columns.items()}
         for key, columns in GOOD.items()
@@ -44,7 +44,7 @@ def ulog(folder: Path, share: float = 1.0) -> Path:
 def plane_log(
     folder: Path, *left_out: str, servos: tuple[int, ...] = (4, 19), share: float = 1.0
 ) -> Path:
-    """An ArduPilot log, or the first share of it."""
+    """Write an ArduPilot log, or its first part; return its path."""
     functions = {f"SERVO{i}_FUNCTION": function for i, function in enumerate(servos, 1)}
     count = int(share * len(IMU_NS))
     rows = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated flight to put into logs, and what comes out of an imported bag."""
+"""A simulated flight as the content of logs, and the content of imported bags."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,14 +21,14 @@ from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 
 
 def flight(duration: float = 10.0, **sensors: Any) -> Measurements:
-    """A plant of the paper's structure under multisines, in the axes of the autopilots."""
+    """Measure a plant of the paper's structure under multisines, in the autopilots' axes."""
     flown = plant_flight(duration, actuator_rate=50.0, force=ColouredNoise(0.3, 0.5))
     usual = {"gyro_noise": 0.01, "accelerometer_noise": 0.05, "convention": "frd"}
     return measure(flown, Sensors(**{**usual, **sensors}), 3)
 
 
 def contents(path: Path) -> SimpleNamespace:
-    """Samples of an imported bag, read through the project's own reader: stamps in ns, values."""
+    """Return the samples of an imported bag by the project's reader: stamps in ns, values."""
     found = decoded(path)
     imu, commands, airspeed = (
         [message for _, message in found.get(topic, ())]
@@ -52,13 +52,13 @@ def contents(path: Path) -> SimpleNamespace:
 
 
 def mixing(values: dict[str, Any]) -> np.ndarray:
-    """Mixing matrix of parameters, (4, channels)."""
+    """Return the mixing matrix of the parameters, (4, channels)."""
     return np.array([values[f"actuators.mixing.{u}"] for u in ("de", "dr", "da", "dth")])
 
 
 @dataclass
 class Imported:
-    """An imported log: the folder of the bag, and what was printed of it, as one line."""
+    """An imported log: the folder of the bag, and the command's output as one line."""
 
     folder: Path
     printed: str
@@ -69,7 +69,7 @@ class Imported:
 
     @cached_property
     def values(self) -> dict[str, Any]:
-        """Parameters that were written beside the bag."""
+        """Parameters written beside the bag."""
         return dict(load_parameters(self.folder / "identifier.yaml", "/identifier"))
 
     def __iter__(self) -> Iterator[Any]:
@@ -77,7 +77,7 @@ class Imported:
 
 
 class Importer:
-    """Imports logs, each into a bag of its own; `log` is the last of them."""
+    """Importer of logs, each into a separate bag; `log` is the last log."""
 
     def __init__(self, folder: Path, capsys: Any) -> None:
         self.folder, self._capsys = folder, capsys
@@ -92,7 +92,7 @@ class Importer:
         return Imported(bag, " ".join(str(printed.out).split()))
 
     def refused(self, log: Path | str, *options: str) -> str:
-        """The one line with which a log is refused."""
+        """Import a log that is refused; return the error line."""
         arguments = [str(log), "--output", str(self.folder / "refused"), *options]
         line = programs.refusal(main, arguments, self._capsys)
         assert line.startswith("import_log: ")

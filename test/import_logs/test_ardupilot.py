@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ArduPilot logs of different vehicles mean."""
+"""Import of ArduPilot logs of different vehicles."""
 
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ def imported(
 # --- outputs ------------------------------------------------------------------------------------
 
 
-def test_a_plane_with_reversed_servos(importer: Importer) -> None:
+def test_servo_ranges_and_reversals_of_a_plane_set_scale_and_mixing(importer: Importer) -> None:
     values = PLANE | {"SERVO2_REVERSED": 1, "SERVO2_TRIM": 1480, "SERVO4_MIN": 1000}
     bag, found, printed = imported(importer, [], values, "--trim", "neutral")
     assert bag.names[:4] == ["aileron", "elevator", "throttle", "rudder"]
@@ -88,7 +88,7 @@ def test_a_plane_with_reversed_servos(importer: Importer) -> None:
 
 
 def test_pins_beyond_the_fourteenth_are_read(importer: Importer) -> None:
-    """A message without further pins adds nothing."""
+    """A message without pins in use adds no channel."""
     rudder = np.random.default_rng(3).integers(1200, 1800, (len(COMMAND_US), 1))
     more = at(COMMAND_US, "RCO2", rudder) + at(COMMAND_US, "RCO3", PULSES[:, :2])
     values = servos(4, 19, 70) | {
@@ -113,7 +113,7 @@ MIXERS = {
 
 
 @pytest.mark.parametrize("name", MIXERS)
-def test_pairs_and_motors_are_mixed_as_ardupilot_does(importer: Importer, name: str) -> None:
+def test_surface_pairs_and_motors_mix_as_in_ardupilot(importer: Importer, name: str) -> None:
     functions, more, rows = MIXERS[name]
     bag, values, printed = imported(importer, [], servos(*functions) | more)
     np.testing.assert_allclose(mixing(values), rows, atol=1e-12)
@@ -125,8 +125,8 @@ def test_pairs_and_motors_are_mixed_as_ardupilot_does(importer: Importer, name: 
 
 
 @pytest.mark.parametrize(("frame", "count"), [((2, 1), 6), ((3, 1), 8), ((4, 1), 8), ((1, 0), 4)])
-def test_frames_are_balanced(importer: Importer, frame, count: int) -> None:
-    """Collective turns nothing, and the three moments are independent of each other."""
+def test_mixing_rows_of_the_frames_are_orthogonal(importer: Importer, frame, count: int) -> None:
+    """The collective causes no moment, and the three moments are independent."""
     pulses = np.random.default_rng(3).integers(1200, 1800, (len(COMMAND_US), count))
     values = servos(*range(33, 33 + count)) | {"FRAME_CLASS": frame[0], "FRAME_TYPE": frame[1]}
     found = imported(importer, [], values, pulses=rcou(pulses=pulses)).values
@@ -136,7 +136,7 @@ def test_frames_are_balanced(importer: Importer, frame, count: int) -> None:
     np.testing.assert_allclose(np.abs(rows).sum(axis=1), [2.0, 2.0, 2.0, 1.0])
 
 
-def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importer) -> None:
+def test_demands_before_the_mixer_replace_slow_pulse_widths(importer: Importer) -> None:
     requested = np.array([0.1, -0.2, 0.3, 0.4])
     out = (0, 0, 0.1, 0, 0, -0.2, 0, 0, 0.3, 0, 0, 0.4)
     rates = at(COMMAND_US, "RATE", out)
@@ -153,7 +153,7 @@ def test_slow_pulses_give_way_to_the_controls_before_the_mixer(importer: Importe
 
 
 @pytest.mark.parametrize(("mask", "advice"), [(830, ": make it 831,"), (831, ", although it has")])
-def test_slow_actuators_name_the_bit_of_log_bitmask(
+def test_the_note_on_slow_actuators_names_the_bit_of_log_bitmask(
     importer: Importer, mask: int, advice: str
 ) -> None:
     values = QUAD | {"LOG_BITMASK": mask}
@@ -162,8 +162,8 @@ def test_slow_actuators_name_the_bit_of_log_bitmask(
     assert f"{needed}, which logs RATE in its place" in printed
 
 
-def test_all_bits_that_are_missing_are_asked_for_in_the_end(importer: Importer) -> None:
-    """Who sets the last value must not lose what the first was for."""
+def test_the_last_recommended_log_bitmask_has_all_missing_bits(importer: Importer) -> None:
+    """The last value, if set, must also cure the first problem."""
     values = QUAD | {"LOG_BITMASK": 830}
     messages = TITLE + imu()[::20] + rcou(10)
     printed = importer(write_dataflash(importer.folder / "slow.bin", messages, values)).printed
@@ -171,10 +171,10 @@ def test_all_bits_that_are_missing_are_asked_for_in_the_end(importer: Importer) 
     assert "(LOG_BITMASK 830: make it 262975, 'fast attitude')" in printed
 
 
-def test_a_quadplane_flies_by_its_surfaces_unless_its_hover_is_asked_for(
+def test_surfaces_are_the_inputs_of_a_quadplane_unless_rate_is_selected(
     importer: Importer,
 ) -> None:
-    """RATE is fast, and has the demands on the lift motors alone."""
+    """RATE is logged fast, but holds the demands on the lift motors alone."""
     values = servos(4, 19, 70, 21, 33, 34, 35, 36)
     rows = [(START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",))]
     rows += at(COMMAND_US, "RATE", (0, 0, 0.1) * 4)
@@ -206,7 +206,7 @@ def test_raw_rates_are_preferred_and_stamped_when_sampled(importer: Importer) ->
     assert "low-passed" not in printed
 
 
-def test_the_unit_can_be_chosen(importer: Importer) -> None:
+def test_an_option_selects_the_imu_instance(importer: Importer) -> None:
     bag, _, printed = imported(importer, imu(1, 3.0), PLANE, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, 3.0 * RATES, rtol=1e-6)
     assert "instances [0, 1] of IMU" in printed
@@ -217,7 +217,7 @@ def test_the_unit_can_be_chosen(importer: Importer) -> None:
 # --- the rest -----------------------------------------------------------------------------------
 
 
-def test_trim_airspeed_lever_arm_and_lost_messages(importer: Importer) -> None:
+def test_trim_airspeed_lever_arm_and_lost_messages_are_imported(importer: Importer) -> None:
     pulses = PULSES.copy()
     pulses[:30] = 1100  # on the ground
     armed_us = int(COMMAND_US[30])
@@ -239,17 +239,17 @@ def test_trim_airspeed_lever_arm_and_lost_messages(importer: Importer) -> None:
 
 
 @pytest.mark.parametrize("scale", [1.0, 4500.0])
-def test_attitude_mode_and_setpoints_come_along(importer: Importer, scale: float) -> None:
-    """Old logs, whose controls are no shares, ask for hundredths of a degree a second."""
+def test_attitude_mode_and_rate_setpoints_are_imported(importer: Importer, scale: float) -> None:
+    """Old logs scale controls to 4500, and rate setpoints to hundredths of a degree a second."""
     unit = 1.0 if scale == 1.0 else 100.0
     requested = (30.0 * unit, 0, 0.1 * scale, -20.0 * unit, 0, 0, 10.0 * unit, 0, 0, 0, 0, 0.4)
     rows = at(COMMAND_US, "RATE", requested)
     rows += at(COMMAND_US[[0, 9]], "MODE", [(5, 5, 1), (99, 99, 1)])
     rows += at(IMU_US, "ATT", (0, 3000, 0, -1000, 0, 9000))
     rows.append((START, "MSG", (b"ArduPlane V4.5.7 (0358a9c2)",)))
-    it = imported(importer, rows, PLANE)
-    assert it.bag.mode == [(START * 1000, "fbwa"), (int(COMMAND_US[9]) * 1000, "Mode 99")]
-    read = decoded(it.folder)
+    result = imported(importer, rows, PLANE)
+    assert result.bag.mode == [(START * 1000, "fbwa"), (int(COMMAND_US[9]) * 1000, "Mode 99")]
+    read = decoded(result.folder)
     o = read["/imu/data"][0][1].orientation
     expected = quaternions(*np.radians([30.0, -10.0, 90.0]))
     np.testing.assert_allclose([o.x, o.y, o.z, o.w], expected, atol=1e-12)
@@ -258,7 +258,7 @@ def test_attitude_mode_and_setpoints_come_along(importer: Importer, scale: float
 
 
 @pytest.mark.parametrize(
-    ("rows", "flown", "said"),
+    ("rows", "flown", "note"),
     [
         ([(0, "ARM", 1), (100, "STAT", 0), (150, "STAT", 1), (250, "STAT", 0)], (150, 250),
          "in the air for 0.4 s in 1 stretch(es) (STAT.isFlying)"),
@@ -268,21 +268,21 @@ def test_attitude_mode_and_setpoints_come_along(importer: Importer, scale: float
         ([(100, "EV", 28), (200, "EV", 18)], (100, 200), "in the air for 0.4 s"),
         ([(0, "ARM", 1), (100, "STAT", 0)], (0, 0),
          "never in the air (STAT.isFlying): this log gives no model; if it did fly, empty"),
-        ([(200, "ARM", 0)], (0, 200), "armed for 0.8 s in 1 stretch(es) (ARM)"),  # begun in flight
+        ([(200, "ARM", 0)], (0, 200), "armed for 0.8 s in 1 stretch(es) (ARM)"),  # begins in flight
         ([(200, "EV", 15)], None, "the log does not say when it flew"),
     ],
 )  # fmt: skip
-def test_nothing_is_learned_on_the_ground_while_armed(
-    importer: Importer, rows: Rows, flown: tuple[int, int] | None, said: str
+def test_the_armed_topic_is_true_in_flight_alone(
+    importer: Importer, rows: Rows, flown: tuple[int, int] | None, note: str
 ) -> None:
-    """A plane taxies, a copter waits for the throttle."""
+    """An armed plane may taxi, and an armed copter may stand."""
     events = [(int(IMU_US[at]), kind, (state, 0, 0, 0)[:size])
               for at, kind, state in rows
               for size in [{"ARM": 4, "STAT": 1, "EV": 1}[kind]]]  # fmt: skip
-    it = imported(importer, events, PLANE)
-    assert said in " ".join(it.printed.split())
-    assert ("armed.type" in it.values) == (flown is not None)
-    states = it.bag.armed
+    result = imported(importer, events, PLANE)
+    assert note in " ".join(result.printed.split())
+    assert ("armed.type" in result.values) == (flown is not None)
+    states = result.bag.armed
     if flown is None:
         assert not states
         return
@@ -291,7 +291,7 @@ def test_nothing_is_learned_on_the_ground_while_armed(
     assert begin == end or {(begin, True), (end, False)} <= {*states}
 
 
-def test_a_parameter_that_changes_is_noted(importer: Importer) -> None:
+def test_a_parameter_change_during_the_log_is_noted(importer: Importer) -> None:
     later = [(25_000_000, "PARM", (b"SERVO1_TRIM", 1520.0, float("nan")))]
     printed = imported(importer, later, PLANE).printed
     assert "SERVO1_TRIM became 1520 at 25.0 s: the first value is used" in printed
@@ -303,10 +303,10 @@ def test_a_parameter_that_changes_is_noted(importer: Importer) -> None:
 def old_log(
     folder: Path, firmware: str, values: dict[str, float], text: str = "", scale: float = 4500
 ) -> Path:
-    """Milliseconds, no functions of pins, demands in thousands."""
+    """Write a log of 2014: stamps in ms, no pin functions, demands as large integers."""
     imu_ms, command_ms = IMU_US // 1000, COMMAND_US // 1000
     requested = (0, 0, 0.1 * scale, 0, 0, -0.2 * scale, 0, 0, 0.3 * scale, 0, 0, 400.0)
-    rows: Rows = [(0, "MSG", (said.encode(),)) for said in (firmware, text) if said]
+    rows: Rows = [(0, "MSG", (note.encode(),)) for note in (firmware, text) if note]
     rows += at(imu_ms, "IMU", np.hstack([RATES, FORCE]))
     rows += at(imu_ms, "IMU2", np.hstack([3.0 * RATES, FORCE]))
     rows += at(command_ms, "RCOU", np.hstack([PULSES, 0 * PULSES]))
@@ -317,7 +317,7 @@ def old_log(
 COPTER = {"RC3_MIN": 1100, "RC3_MAX": 1900}
 
 
-def test_a_copter_of_2014(importer: Importer) -> None:
+def test_a_copter_log_of_2014_has_the_mixing_of_its_frame(importer: Importer) -> None:
     log = old_log(importer.folder, "ArduCopter V3.2 (c8e0f3e1)", COPTER | {"FRAME": 1})
     bag, values, printed = importer(log, "--rates-instance", "1")
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_US * 1000)
@@ -330,7 +330,7 @@ def test_a_copter_of_2014(importer: Importer) -> None:
     assert "the motors are on the pins of their numbers" in printed
 
 
-def test_the_front_motors_of_a_v_yaw_less(importer: Importer) -> None:
+def test_the_front_motors_of_a_v_frame_have_the_smaller_yaw_effect(importer: Importer) -> None:
     frame = COPTER | {"FRAME": 2}
     log = old_log(importer.folder, "ArduCopter V3.2.1 (36b405fb)", frame, "Frame: QUAD")
     _, values, printed = importer(log)
@@ -340,7 +340,7 @@ def test_the_front_motors_of_a_v_yaw_less(importer: Importer) -> None:
     np.testing.assert_allclose(dr[[0, 2]] / dr[[1, 3]], [0.7981, 0.7981])
 
 
-def test_a_copter_of_an_unknown_frame_gives_its_demands(importer: Importer) -> None:
+def test_the_demands_are_the_inputs_of_a_copter_of_unknown_frame(importer: Importer) -> None:
     log = old_log(importer.folder, "APM:Copter V3.3.3 (acf98493)", {"FRAME": 10}, "Frame: Y6")
     bag, values, printed = importer(log)
     u = mixing(values) @ (np.array(values["actuators.scale"]) * bag.actuators[0])
@@ -349,7 +349,7 @@ def test_a_copter_of_an_unknown_frame_gives_its_demands(importer: Importer) -> N
     assert "RATE: full demand is 4500, full throttle 1000, as before Copter 3.4" in printed
 
 
-def test_a_plane_of_2014(importer: Importer) -> None:
+def test_surfaces_of_a_plane_log_of_2014_follow_from_the_sticks(importer: Importer) -> None:
     sticks = {"RCMAP_ROLL": 1, "RCMAP_PITCH": 2, "RCMAP_THROTTLE": 3, "RCMAP_YAW": 4}
     ranges = {f"RC{i}_{end}": v for i in range(1, 5)
               for end, v in (("MIN", 1100), ("TRIM", 1500), ("MAX", 1900), ("REV", 1))}  # fmt: skip
@@ -362,10 +362,10 @@ def test_a_plane_of_2014(importer: Importer) -> None:
     assert "are on the pins of their sticks (RCMAP_*)" in printed
 
 
-def test_pairs_of_surfaces_of_2014_are_not_guessed(importer: Importer) -> None:
+def test_the_demands_replace_paired_surfaces_in_logs_of_2014(importer: Importer) -> None:
     log = old_log(importer.folder, "ArduPlane V3.2.0 (abc)", {"ELEVON_OUTPUT": 1}, scale=1.0)
-    it = importer(log)
+    result = importer(log)
     assert "ELEVON_OUTPUT is 1: how such pairs turn is not known" in " ".join(
-        (it.folder / "identifier.yaml").read_text().replace("#", "").split()
+        (result.folder / "identifier.yaml").read_text().replace("#", "").split()
     )
-    assert it.values["actuators.channels"][0] == "roll"
+    assert result.values["actuators.channels"][0] == "roll"

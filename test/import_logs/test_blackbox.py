@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blackbox logs of quadrotors, and those that cannot be used."""
+"""Import of Blackbox logs of quadrotors."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ def log_of(importer: Importer, content: bytes) -> Path:
     return written(importer.folder / "log.bbl", content)
 
 
-def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
+def test_a_betaflight_log_holds_samples_and_mixing_of_the_quadrotor(importer: Importer) -> None:
     log = written(importer.folder / "LOG00001.BFL", blackbox(50) + blackbox())
     found, values, printed = importer(log)
     assert len(found.imu_t_ns) >= COUNT - 1  # orangebox leaves out a frame before the end
@@ -37,13 +37,13 @@ def test_a_quadrotor_of_betaflight(importer: Importer) -> None:
     assert "Betaflight 4.4.2" in printed
 
 
-def test_reversed_propellers(importer: Importer) -> None:
+def test_reversed_propellers_reverse_the_yaw_mixing(importer: Importer) -> None:
     values = importer(log_of(importer, blackbox(yaw_motors_reversed=1))).values
     np.testing.assert_allclose(values["actuators.mixing.dr"], [-0.5, 0.5, 0.5, -0.5])
 
 
-def test_an_accelerometer_that_is_off(importer: Importer, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Betaflight logs zeros then, and acc_1G may be 0: no forces, not some that are no numbers."""
+def test_accelerometer_off_gives_zeros(importer: Importer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Betaflight then logs zeros, and acc_1G may be 0: the force is zero, not NaN."""
     for scale, spoilt in ((0, ACC), (2048, 0 * ACC)):
         monkeypatch.setattr(blackbox_writing, "ACC", spoilt)
         found, values, printed = importer(log_of(importer, blackbox(acc_1G=scale)))
@@ -52,10 +52,10 @@ def test_an_accelerometer_that_is_off(importer: Importer, monkeypatch: pytest.Mo
         assert not np.any(found.specific_force)
 
 
-def test_motors_below_their_least_command(
+def test_motors_below_the_least_command_keep_their_values(
     importer: Importer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The difference from the least command is negative, and logged without a sign."""
+    """The difference from the least command is negative, but logged as unsigned."""
     standing = MOTORS.copy()
     standing[:100] = 0
     monkeypatch.setattr(blackbox_writing, "MOTORS", standing - [138, 0, 0, 0])
@@ -66,15 +66,15 @@ def test_motors_below_their_least_command(
     np.testing.assert_array_equal(found.actuators, standing[: len(found.actuators)])
 
 
-def test_the_range_of_an_old_firmware_is_the_throttle_s(importer: Importer) -> None:
+def test_the_motor_range_of_old_firmware_is_the_throttle_range(importer: Importer) -> None:
     old = blackbox().replace(b"motorOutput:48,2047", b"minthrottle:1100\nH maxthrottle:1900")
     _, values, printed = importer(log_of(importer, old))
     assert values["actuators.scale"] == [1.0 / 800] * 4
     assert "motor of quad x, 1100 to 1900 counts" in printed
 
 
-def test_a_firmware_with_an_odd_name(importer: Importer) -> None:
-    """It stands in a comment of the parameter file, which must be YAML."""
+def test_an_odd_firmware_name_leaves_the_parameter_file_valid(importer: Importer) -> None:
+    """The name is part of a comment in the parameter file, which must be valid YAML."""
     odd = "Beta\x01flight\x07" + "x" * 900
     _, values, printed = importer(log_of(importer, blackbox(**{"Firmware revision": odd})))
     assert "log.bbl: Beta?flight?xxx" in printed
@@ -82,7 +82,7 @@ def test_a_firmware_with_an_odd_name(importer: Importer) -> None:
     assert values["imu.convention"] == "flu"
 
 
-def test_a_log_that_is_cut_off_or_damaged(importer: Importer) -> None:
+def test_a_truncated_or_damaged_log_loses_its_damaged_frames_alone(importer: Importer) -> None:
     whole, half = blackbox(), len(blackbox()) // 2
     found, _, printed = importer(log_of(importer, whole[:half]))
     assert "cut off at its end" in printed

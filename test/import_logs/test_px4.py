@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What PX4 logs of different ages and vehicles mean."""
+"""Import of PX4 logs of different versions and vehicles."""
 
 import re
 from pathlib import Path
@@ -74,7 +74,7 @@ def px4(
 # --- channels -----------------------------------------------------------------------------------
 
 
-def test_rotors_mix_as_in_the_simulation(importer: Importer) -> None:
+def test_rotors_have_the_mixing_of_the_simulation(importer: Importer) -> None:
     bag, values, printed = px4(importer, MOTORS, QUAD_X)
     assert bag.names == values["actuators.channels"] == ["motor_1", "motor_2", "motor_3", "motor_4"]
     ready = load_parameters(CONFIG / "px4_quadrotor.yaml", "/identifier")
@@ -86,10 +86,10 @@ def test_rotors_mix_as_in_the_simulation(importer: Importer) -> None:
     assert "da (right wing down) = -0.5 motor_1 +0.5 motor_2 +0.5 motor_3 -0.5 motor_4" in printed
 
 
-def test_elevons_mix_as_in_the_simulation(importer: Importer) -> None:
+def test_elevons_have_the_mixing_of_the_simulation(importer: Importer) -> None:
     """PX4 counts trailing edge up as positive, the simulation down.
 
-    It publishes motors and servos of one cycle some microseconds apart: they are one message.
+    It publishes motors and servos of one cycle some microseconds apart; the import joins them.
     Flaps are recorded, but not used.
     """
     motors, servos = 0.5 + noise(1), noise(3)
@@ -122,7 +122,7 @@ def outputs(widths: np.ndarray, count: int) -> Columns:
     return {"timestamp": t_us, "noutputs": number, "output": values}
 
 
-def test_pulse_widths_by_the_functions_of_their_pins(importer: Importer) -> None:
+def test_pulse_widths_are_mixed_by_the_functions_of_their_pins(importer: Importer) -> None:
     widths = 1500.0 + 400.0 * noise(3)
     pins = {
         "PWM_MAIN_FUNC1": 201, "PWM_MAIN_MIN1": 1100, "PWM_MAIN_MAX1": 1900,
@@ -149,10 +149,10 @@ def test_pulse_widths_by_the_functions_of_their_pins(importer: Importer) -> None
     ],
     ids=["v1.12", "v1.9"],
 )
-def test_pins_of_old_have_the_range_of_all_unless_they_have_their_own(
+def test_pins_of_old_versions_have_the_common_range_unless_set_individually(
     importer: Importer, ranges: dict[str, int]
 ) -> None:
-    """-1 stands for that of all; a quad's motors, of which one is reversed."""
+    """-1 selects the common range; one of the quadrotor's four motors is reversed."""
     pins = {f"PWM_MAIN_{end}{pin}": -1 for end in ("MIN", "MAX") for pin in range(1, 5)}
     pins |= {"MAV_TYPE": 2, "PWM_MAIN_MIN2": 1100, "PWM_MAIN_REV3": 1}
     topics = {"actuator_outputs": outputs(1500.0 + 300.0 * noise(4), 4)}
@@ -162,8 +162,8 @@ def test_pins_of_old_have_the_range_of_all_unless_they_have_their_own(
     assert "motor_1: output of quad x, 1200 to 1900 us; us less 1200" in printed
 
 
-def test_pulse_widths_that_nothing_explains_are_passed_over(importer: Importer) -> None:
-    """An old log of a fixed wing has them a little faster, but its mixer file is not in it."""
+def test_pulse_widths_without_a_known_mixer_are_not_used(importer: Importer) -> None:
+    """An old fixed-wing log has them at a slightly higher rate, but lacks the mixer file."""
     topics = {
         "actuator_controls_0": controls(noise(8), 8, every=5),
         "actuator_outputs": outputs(np.full((25, 8), 1500.0), 8),
@@ -174,12 +174,12 @@ def test_pulse_widths_that_nothing_explains_are_passed_over(importer: Importer) 
     np.testing.assert_array_equal(
         mixing(values), [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
     )
-    asked = ("--actuators-topic", "actuator_outputs")
-    assert "PWM_MAIN_FUNCn" in importer.refused(importer.log, *asked)
+    selected = ("--actuators-topic", "actuator_outputs")
+    assert "PWM_MAIN_FUNCn" in importer.refused(importer.log, *selected)
 
 
 @pytest.mark.parametrize(
-    ("topics", "parameters", "options", "said"),
+    ("topics", "parameters", "options", "note"),
     [
         ({("vehicle_torque_setpoint", i): commands(COMMAND_NS, noise(3) + i, "xyz")
           for i in (0, 1)}, {"CA_AIRFRAME": 2}, ["--actuators-instance 1"],
@@ -191,33 +191,33 @@ def test_pulse_widths_that_nothing_explains_are_passed_over(importer: Importer) 
     ],
     ids=["new", "old"],
 )  # fmt: skip
-def test_a_vtol_has_two_sets_of_commands(
-    importer: Importer, topics: dict, parameters: dict, options: list[str], said: str
+def test_an_option_selects_the_hover_or_forward_flight_commands_of_a_vtol(
+    importer: Importer, topics: dict, parameters: dict, options: list[str], note: str
 ) -> None:
-    """Instances of a topic; before v1.13 a topic for each."""
+    """They are instances of one topic; before v1.13, two topics."""
     bag, _, printed = px4(importer, topics, parameters)
     values = next(iter(topics.values()))
     first = values.get("xyz", values.get("control"))
     np.testing.assert_array_equal(bag.actuators, first)
-    assert said in printed
+    assert note in printed
     for option in options:
         again = importer(importer.log, *option.split()).bag
         np.testing.assert_allclose(again.actuators, first + 1, rtol=1e-6)
     assert "no actuators" in importer.refused(importer.log, "--actuators-instance", "2")
 
 
-def test_a_topic_that_covers_a_part_of_the_flight_is_passed_over(importer: Importer) -> None:
+def test_a_topic_that_covers_only_a_part_of_the_flight_is_not_used(importer: Importer) -> None:
     """Both are slow: the faster one was logged in the first fifth only."""
     motors = {name: values[:20:4] for name, values in MOTORS["actuator_motors"].items()}
     topics = {"actuator_motors": motors, "actuator_controls_0": controls(noise(8), 8, every=5)}
     bag, _, printed = px4(importer, topics, QUAD_X)
     assert len(bag.actuators) == len(COMMAND_NS) // 5
-    for said in (
+    for note in (
         "actuator_motors covers 43 % of the flight only; actuator_controls_0 is at 10 Hz",
         "actuator_motors at 12.5 Hz over 43 %, actuator_controls_0 at 10 Hz over 100 %",
         "actuator_controls_0 has 10 Hz only: 20 Hz are needed",
     ):
-        assert said in printed
+        assert note in printed
 
 
 # --- rates --------------------------------------------------------------------------------------
@@ -232,7 +232,7 @@ def raw_gyro(values: np.ndarray) -> Columns:
     }
 
 
-def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(importer: Importer) -> None:
+def test_a_raw_gyro_is_calibrated_and_rotated_into_body_axes(importer: Importer) -> None:
     """Board on its side (roll 90, yaw 90), with a fine offset, second gyro of two."""
     offset = np.array([0.01, -0.02, 0.03])
     board = rotation(*np.radians([1.5, -1.0, 0.5])) @ rotation(*np.radians([90.0, 0.0, 90.0]))
@@ -247,17 +247,17 @@ def test_a_raw_gyro_is_calibrated_and_turned_into_the_body(importer: Importer) -
     bag, found, printed = px4(importer, topics, values, "--rates-instance", "1")
     np.testing.assert_allclose(bag.rates, RATES, atol=1e-6)
     np.testing.assert_array_equal(bag.imu_t_ns, IMU_NS)  # when sampled, not when published
-    for said in (
+    for note in (
         "SENS_BOARD_ROT 18, roll 90 deg yaw 90 deg, fine offsets 1.50 -1.00 0.50",
         "CAL_GYRO2_XOFF",
         "instances [0, 1] of sensor_gyro",
         "ay and az are zero",
     ):
-        assert said in printed
+        assert note in printed
     assert found["structure"] == "throttle_coupled"
 
 
-def test_filtered_rates_are_the_last_resort_and_noted(importer: Importer) -> None:
+def test_filtered_rates_are_used_only_without_raw_rates_and_noted(importer: Importer) -> None:
     topics = TORQUES | {
         "vehicle_angular_velocity": commands(IMU_NS + 400_000, RATES, "xyz", delay_us=400),
         "vehicle_acceleration": {"timestamp": stamps(IMU_NS), "xyz": FORCE.astype(np.float32)},
@@ -273,7 +273,7 @@ def test_filtered_rates_are_the_last_resort_and_noted(importer: Importer) -> Non
     assert "vehicle_angular_velocity at 200 Hz over 100 %" in printed
 
 
-def test_an_invalid_accelerometer_is_no_measurement(importer: Importer) -> None:
+def test_an_invalid_accelerometer_gives_zero_specific_force(importer: Importer) -> None:
     invalid = {"accelerometer_timestamp_relative": np.full(COUNT, 0x7FFFFFFF, np.int32)}
     printed = px4(importer, TORQUES | {"sensor_combined": {**COMBINED, **invalid}}).printed
     assert "no valid accelerometer sample: ay and az are zero" in printed
@@ -282,7 +282,7 @@ def test_an_invalid_accelerometer_is_no_measurement(importer: Importer) -> None:
 # --- the rest -----------------------------------------------------------------------------------
 
 
-def test_the_trim_is_that_of_the_flight_not_of_the_ground(importer: Importer) -> None:
+def test_the_trim_is_taken_in_flight_and_not_on_the_ground(importer: Importer) -> None:
     motors = np.full((len(COMMAND_NS), 4), np.nan)  # motors that are off
     motors[50:] = 0.1
     motors[70:90] = 0.6
@@ -308,8 +308,8 @@ def test_the_trim_is_that_of_the_flight_not_of_the_ground(importer: Importer) ->
 @pytest.mark.parametrize(
     ("name", "gap"), [("airspeed_validated", 0.0), ("airspeed", 0.0), ("airspeed", 100.0)]
 )
-def test_airspeed(importer: Importer, name: str, gap: float) -> None:
-    """Where nothing was logged no airspeed can be: a gap in all streams is none of its own."""
+def test_logged_airspeed_and_its_median_are_used(importer: Importer, name: str, gap: float) -> None:
+    """A gap common to all streams does not count as a gap of the airspeed."""
     imu_ns = IMU_NS + int(1e9 * gap) * (np.arange(COUNT) >= COUNT // 2)
     speed = measured(imu_ns[::4], "true_airspeed_m_s", np.linspace(14.0, 16.0, len(COMMAND_NS)))
     topics = {
@@ -328,8 +328,8 @@ def test_airspeed(importer: Importer, name: str, gap: float) -> None:
 
 
 @pytest.mark.parametrize("slow", [False, True])
-def test_an_airspeed_that_is_no_use_is_left_out(importer: Importer, slow: bool) -> None:
-    """Measured once behind the flight, or that of a hover; the ground speed stands in."""
+def test_airspeed_outside_the_flight_or_in_hover_is_unused(importer: Importer, slow: bool) -> None:
+    """The ground speed replaces the reference, if it is a speed of flight."""
     t_ns = COMMAND_NS if slow else COMMAND_NS[:1] + 10**10
     topics = TORQUES | {
         "airspeed": measured(t_ns, "true_airspeed_m_s", 1.0 if slow else 15.0),
@@ -344,8 +344,8 @@ def test_an_airspeed_that_is_no_use_is_left_out(importer: Importer, slow: bool) 
     assert "structure" not in values
 
 
-def test_the_tables_of_ulog2csv(importer: Importer) -> None:
-    """By pyulog's own converter: what comes in is what the log itself gives."""
+def test_tables_of_ulog2csv_give_the_samples_of_their_log(importer: Importer) -> None:
+    """The tables come from pyulog's converter."""
     whole, values, _ = px4(importer, MOTORS, QUAD_X)
     folder = importer.folder / "tables"
     folder.mkdir()
@@ -365,7 +365,7 @@ def test_the_tables_of_ulog2csv(importer: Importer) -> None:
     assert "has the tables of several logs, flight, other" in importer.refused(folder)
 
 
-def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> None:
+def test_attitude_arming_mode_and_rate_setpoints_are_imported(importer: Importer) -> None:
     seldom = IMU_NS[::20]
     yaw = np.linspace(3.0, 3.4, 20)  # through 180 deg, where the quaternion changes its sign
     ones = np.ones_like(yaw)
@@ -381,14 +381,14 @@ def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> No
             **dict(zip(("roll", "pitch", "yaw"), requested.T, strict=True)),
         },
     }
-    it = px4(importer, topics, {"MC_ROLLRATE_P": 0.15})
-    assert it.values["armed.type"] == "std_msgs/msg/Bool"
-    assert "MC_ROLLRATE_P 0.15" in (it.folder / "identifier.yaml").read_text()
-    states = it.bag.armed
+    result = px4(importer, topics, {"MC_ROLLRATE_P": 0.15})
+    assert result.values["armed.type"] == "std_msgs/msg/Bool"
+    assert "MC_ROLLRATE_P 0.15" in (result.folder / "identifier.yaml").read_text()
+    states = result.bag.armed
     assert all(armed == (t >= armed_ns) for t, armed in states)
     assert (armed_ns, True) in states and len(states) == 3
-    assert it.bag.mode == [(int(IMU_NS[0]), "manual"), (armed_ns, "stabilized")]
-    read = decoded(it.folder)
+    assert result.bag.mode == [(int(IMU_NS[0]), "manual"), (armed_ns, "stabilized")]
+    read = decoded(result.folder)
     vectors = [m.vector for _, m in read["/setpoint/rates"]]
     np.testing.assert_allclose([(v.x, v.y, v.z) for v in vectors], requested)
     imu = [m for _, m in read["/imu/data"]]
@@ -398,14 +398,14 @@ def test_attitude_arming_mode_and_setpoints_come_along(importer: Importer) -> No
     assert imu[0].orientation_covariance[0] == 0.0
 
 
-def test_the_lever_arm_and_learnt_trim(importer: Importer) -> None:
+def test_the_lever_arm_is_imported_and_the_trim_can_be_learned(importer: Importer) -> None:
     values = {"EKF2_IMU_POS_X": 0.05, "EKF2_IMU_POS_Z": -0.02}
     found = px4(importer, TORQUES, values, "--trim", "learn").values
     np.testing.assert_allclose(found["imu.lever_arm"], [0.05, 0.0, -0.02], rtol=1e-6)
     assert found["actuators.learn_trim_time"] == 2.0
 
 
-def test_what_is_wrong_with_the_stamps_is_listed(importer: Importer) -> None:
+def test_dropouts_gaps_and_repeated_stamps_are_listed(importer: Importer) -> None:
     kept = np.r_[0:101, 131:201, 212:COUNT]
     twice = np.append(COMMAND_NS, COMMAND_NS[20])
     topics = {
@@ -415,18 +415,18 @@ def test_what_is_wrong_with_the_stamps_is_listed(importer: Importer) -> None:
     dropouts = ((100_500_000, 150), (100_600_000, 20))
     log = write_ulog(importer.folder / "gaps.ulg", topics, {}, dropouts)
     printed = importer(log).printed
-    for said in (
+    for note in (
         "the logger lost messages 2 times, together 0.17 s, at most 0.15 s",
         "rates: 359 samples over 2.0 s at 200 Hz",
         "2 gaps of more than 0.02 s, together 0.215 s, the longest 0.155 s at 100.50 s",
         "actuators: 1 stamps repeat the one before",
     ):
-        assert said in printed
+        assert note in printed
 
 
 @pytest.mark.skipif(not SAMPLE.exists(), reason="../shared/logs/px4_quad_sample.ulg is not there")
-def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
-    """One of 2016, in the old format. The vehicle was moved about by hand, disarmed."""
+def test_a_recorded_log_has_no_significant_derivatives(tmp_path: Path, importer: Importer) -> None:
+    """The log is of 2016, in the old format. The vehicle was moved by hand, disarmed."""
     bag, _, printed = importer(SAMPLE)
     log = ULog(str(SAMPLE))
     gyro = log.get_dataset("sensor_combined").data
@@ -436,13 +436,13 @@ def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     np.testing.assert_array_equal(bag.specific_force[:, 2], gyro["accelerometer_m_s2[2]"])
     np.testing.assert_array_equal(bag.actuator_t_ns // 1000, controls["timestamp"])
     np.testing.assert_array_equal(bag.actuators[:, 1], controls["control[1]"])
-    for said in (
+    for note in (
         "17070 samples over 68.9 s at 250 Hz",
         "never armed",
         "SENS_BOARD_ROT 0, none, fine offsets -1.50 1.19 0.00 deg",
         "the logger lost messages 4 times",
     ):
-        assert said in printed
+        assert note in printed
     options = ("--actuators-topic", "actuator_outputs", "--trim", "neutral")
     bag, values, printed = importer(SAMPLE, *options)
     assert "a quadrotor in X" in printed
@@ -451,12 +451,12 @@ def test_a_recorded_log(tmp_path: Path, importer: Importer) -> None:
     assert values["actuators.trim"] == [1075.0] * 4
     assert (bag.actuators[:, :4] == 900.0).all()
     assert "it never flew: leave --flight-only out" in importer.refused(SAMPLE, "--flight-only")
-    # motors that stand still turn nothing, though it moves: every control derivative must admit it
+    # the vehicle moves without its motors: no control derivative may be significant
     recorded, output = importer.folder / "bag_1", tmp_path / "replayed"
     parameters, text = recorded / "unarmed.yaml", (recorded / "identifier.yaml").read_text()
     parameters.write_text(re.sub(r"armed.type: .*", 'armed.type: ""', text))
     assert replay(recorded, output, by=parameters) == NOT_USABLE
     found = summary(output)["coefficients"]
-    assert found["pdot/p"]["value"] != 0.0  # it has learned
+    assert found["pdot/p"]["value"] != 0.0  # the estimator has learned
     for name in ("pdot/da", "qdot/de", "rdot/dr"):
         assert abs(found[name]["value"]) < 3.0 * found[name]["sigma"]

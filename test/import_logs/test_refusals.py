@@ -46,8 +46,8 @@ Make = Callable[[Path], list[str]]
 KINDS = pytest.mark.parametrize("write", [ulog, plane_log])
 
 
-def test_nothing_half_written_stays_behind(tmp_path: Path) -> None:
-    """A limit on the size of files fails the writing in the middle of the bag."""
+def test_a_failed_write_leaves_no_bag(tmp_path: Path) -> None:
+    """A limit on the file size stops the writing in the middle of the bag."""
     program = (
         "import resource, signal, sys\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
@@ -72,7 +72,7 @@ def test_the_output_is_not_overwritten(importer: Importer) -> None:
     ("library", "extra", "content"),
     [("orangebox", "blackbox", blackbox(50)), ("pyulog", "import_log", MAGIC + bytes(9))],
 )
-def test_without_its_library_the_extra_is_named(
+def test_the_error_of_a_missing_library_names_the_extra(
     importer: Importer, monkeypatch: pytest.MonkeyPatch, library: str, extra: str, content: bytes
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
@@ -85,7 +85,7 @@ def test_without_its_library_the_extra_is_named(
 
 
 @KINDS
-def test_a_log_that_is_cut_off_gives_what_is_there(importer: Importer, write: Any) -> None:
+def test_a_truncated_log_gives_the_samples_before_the_cut(importer: Importer, write: Any) -> None:
     path = write(importer.folder)
     whole = path.read_bytes()
     found, _, printed = importer(written(path, whole[: len(whole) // 2 + 5]))
@@ -118,7 +118,7 @@ def test_garbage_inside_a_log_is_reported(importer: Importer, write: Any) -> Non
 def test_one_damaged_byte_costs_one_sample(
     importer: Importer, write: Any, part: str, at: int, value: int
 ) -> None:
-    """A library's own reader may lose its way there, and with it much of the log."""
+    """A library's reader may lose synchronisation there, and much of the log with it."""
     path = write(importer.folder)
     whole = bytearray(path.read_bytes())
     if write is ulog:
@@ -145,7 +145,7 @@ def test_one_damaged_byte_costs_one_sample(
 
 
 def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
-    """An undamaged one, that is: nested formats, array fields, padding, facts, parameters."""
+    """The log is undamaged: nested formats, array fields, padding, information, parameters."""
     inner = "vec:float x;float[2] yz;"
     outer = "nested:uint64_t timestamp;vec[2] arms;int8_t level;char[3] name;uint8_t[5] _padding0;"
     rows = [struct.pack("<Q6fb3s", 1000 * i, *range(i, i + 6), -i % 99, b"abc") for i in range(9)]
@@ -175,8 +175,8 @@ def test_a_ulog_reads_as_pyulog_reads_it(tmp_path: Path) -> None:
     assert ours.end_ns == theirs.last_timestamp * 1000
 
 
-def test_a_last_stamp_that_lies_days_ahead(importer: Importer) -> None:
-    """It may be a straggler; what is written for every second is not written for those days."""
+def test_a_last_stamp_days_ahead_adds_few_armed_messages(importer: Importer) -> None:
+    """The stamp may be an outlier: messages repeated every second stop before it."""
     rates = deepcopy(RATES)
     rates["timestamp"][-1] += 5 * 86_400_000_000
     topics = GOOD | ARMED | {("sensor_combined", 0): rates}
@@ -190,7 +190,7 @@ def test_a_last_stamp_that_lies_days_ahead(importer: Importer) -> None:
 
 
 def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
-    """An undamaged one, that is: its reader is the reference for fields and units."""
+    """The log is undamaged: pymavlink is the reference for fields and units."""
     from pymavlink.DFReader import DFReader_binary
 
     numbers = np.random.default_rng(3)
@@ -222,7 +222,7 @@ def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
 # --- tables -------------------------------------------------------------------------------------
 
 
-def test_a_table_that_is_cut_off_and_goes_on_gives_what_is_there(importer: Importer) -> None:
+def test_a_table_with_a_truncated_row_gives_all_other_rows(importer: Importer) -> None:
     found, _, printed = importer(*table(importer.folder, TABLE[:-12] + "\n2.90,0.1,0.2,0.3,2.9\n"))
     assert "1 rows have too few cells and were left out, the first in line 301" in printed
     assert "rates: 1 stamps are earlier than the one before" in printed
@@ -255,7 +255,7 @@ def firmware(said: bytes) -> Make:
 
 
 def bomb(*formats: str) -> Make:
-    """A ULog whose formats refer to one another without an end, or to sizes without one."""
+    """Return a ULog with circular or unbounded nested formats."""
     parts = [*(message("F", f.encode()) for f in formats), message("A", b"\0\0\0a")]
     return file("bomb.ulg", MAGIC + b"\1" + bytes(8) + b"".join(parts))
 
@@ -359,18 +359,18 @@ REFUSED: list[tuple[str, Make]] = [
 
 
 @pytest.mark.parametrize("number", range(len(REFUSED)))
-def test_it_is_refused_in_one_line(number: int, importer: Importer) -> None:
+def test_an_unusable_file_is_refused_in_one_line(number: int, importer: Importer) -> None:
     words, make = REFUSED[number]
     printed = importer.refused(*make(importer.folder))
     assert re.search(words, printed), printed
 
 
-def test_motors_without_geometry_are_passed_over(importer: Importer) -> None:
+def test_motors_without_geometry_are_not_used(importer: Importer) -> None:
     it = importer(*px4(more=MOTORS)(importer.folder))
     assert "actuators: vehicle_torque_setpoint" in it.printed
 
 
-def test_the_example_of_the_help_is_a_good_map(tmp_path: Path) -> None:
+def test_the_example_of_the_help_is_a_valid_column_map(tmp_path: Path) -> None:
     from uav_ident_ros.import_logs.csv_table import EXAMPLE, load_column_map
 
     (tmp_path / "columns.yaml").write_text(EXAMPLE, encoding="utf-8")
@@ -386,7 +386,7 @@ STAMPS = 4_000_000 * np.arange(500) + 20 * NS_PER_S
 def test_single_damaged_stamps_are_found(places: list[int], value: int) -> None:
     t_ns = STAMPS.copy()
     t_ns[places] = value
-    early = value < STAMPS[0] and places == [0]  # as of a topic that was published long before
+    early = value < STAMPS[0] and places == [0]  # like the first message of a latched topic
     expected = np.arange(len(t_ns)) if early and value >= 0 else np.delete(np.arange(500), places)
     np.testing.assert_array_equal(np.flatnonzero(plausible(t_ns)), expected)
 

@@ -65,45 +65,45 @@ def allocated(measured: Samples) -> dict:
     )
 
 
-def assert_same(measured: Measurements, it: Imported, dtype: type, inputs_off: float) -> None:
-    """Rates to the bit of a type, inputs about their trim in flight within a tolerance."""
-    bag = it.bag
+def assert_same(measured: Measurements, result: Imported, dtype: type, inputs_off: float) -> None:
+    """Compare the rates to the bit of a type, the inputs about their trim within a tolerance."""
+    bag = result.bag
     np.testing.assert_array_equal(bag.imu_t_ns, measured.imu_t_ns)
     np.testing.assert_array_equal(bag.rates, measured.rates.astype(dtype))
     np.testing.assert_array_equal(bag.specific_force, measured.specific_force.astype(dtype))
     assert bag.frame_ids == {measured.frame_id} == {"base_link_frd"}
     np.testing.assert_array_equal(bag.actuator_t_ns, measured.actuator_t_ns)
     expected = measured.actuators - np.median(measured.actuators, axis=0)
-    np.testing.assert_allclose(inputs(it), expected, rtol=0.0, atol=inputs_off)
+    np.testing.assert_allclose(inputs(result), expected, rtol=0.0, atol=inputs_off)
 
 
-def inputs(it: Imported) -> np.ndarray:
-    """Elevator, rudder, aileron and throttle as the identifier makes them of the channels."""
-    columns = [it.bag.names.index(name) for name in it.values["actuators.channels"]]
-    off_trim = it.bag.actuators[:, columns] - it.values["actuators.trim"]
-    return (off_trim * it.values["actuators.scale"]) @ mixing(it.values).T
+def inputs(result: Imported) -> np.ndarray:
+    """Return elevator, rudder, aileron and throttle by the identifier's mapping of channels."""
+    columns = [result.bag.names.index(name) for name in result.values["actuators.channels"]]
+    off_trim = result.bag.actuators[:, columns] - result.values["actuators.trim"]
+    return (off_trim * result.values["actuators.scale"]) @ mixing(result.values).T
 
 
 TO_FRD = np.array([1.0, -1.0, -1.0])
 
 
-def test_new_px4_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    it = importer(write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING))
-    assert_same(measured, it, np.float32, 1e-7)
-    assert it.bag.names == ["motor_1", "elevator", "rudder", "aileron"]
+def test_new_px4_round_trip(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
+    result = importer(write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING))
+    assert_same(measured, result, np.float32, 1e-7)
+    assert result.bag.names == ["motor_1", "elevator", "rudder", "aileron"]
     raw = (measured.actuators * PLAIN_SIGNS).astype(np.float32)
-    np.testing.assert_array_equal(it.bag.actuators, raw[:, [3, 0, 1, 2]])
-    assert "0.30 ms after the gyro sample" in it.printed
+    np.testing.assert_array_equal(result.bag.actuators, raw[:, [3, 0, 1, 2]])
+    assert "0.30 ms after the gyro sample" in result.printed
 
 
 @pytest.mark.parametrize(
     "thinned", [("actuator_motors", "actuator_servos"), ("actuator_servos",)], ids=" ".join
 )
-def test_px4_setpoints_stand_in_for_thinned_out_actuators(
+def test_px4_setpoints_replace_actuators_logged_at_a_low_rate(
     tmp_path: Path, measured, importer: Importer, thinned: tuple[str, ...]
 ) -> None:
-    """PX4's default profile logs the actuators at 10 Hz and the setpoints at 50 Hz; the one for
-    system identification the motors in full, the servos not."""
+    """PX4's default profile logs actuators at 10 Hz and setpoints at 50 Hz; the profile for
+    system identification logs all motor messages, but not all servo messages."""
     topics = allocated(measured)
     for name in thinned:
         topics[name, 0] = {field: v[::5] for field, v in topics[name, 0].items()}
@@ -126,8 +126,8 @@ def test_px4_setpoints_stand_in_for_thinned_out_actuators(
     )
 
 
-def test_ardupilot_log(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    """Rates are single floats, commands whole microseconds: of 1000 for the whole range."""
+def test_ardupilot_round_trip(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
+    """Rates are single floats, commands whole microseconds, 1000 for the whole range."""
     signs = PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
     pulses = np.rint([1500, 1500, 1500, 1000] + [500, 500, 500, 1000] * measured.actuators * signs)
     moved = np.hstack([measured.rates, measured.specific_force]).tolist()
@@ -137,16 +137,16 @@ def test_ardupilot_log(tmp_path: Path, measured: Measurements, importer: Importe
     ]
     written_us = stamps(measured.actuator_t_ns)
     rows += [(int(t), "RCOU", tuple(v)) for t, v in zip(written_us, pulses, strict=True)]
-    it = importer(write_dataflash(tmp_path / "plane.bin", rows, PLANE))
-    assert_same(measured, it, np.float32, 2.0 / 1000.0)
-    assert "ArduPlane V4.5.0" in it.printed
-    assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in it.printed
-    assert it.bag.names == ["elevator", "rudder", "aileron", "throttle"]
-    np.testing.assert_array_equal(it.bag.actuators, pulses)
+    result = importer(write_dataflash(tmp_path / "plane.bin", rows, PLANE))
+    assert_same(measured, result, np.float32, 2.0 / 1000.0)
+    assert "ArduPlane V4.5.0" in result.printed
+    assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in result.printed
+    assert result.bag.names == ["elevator", "rudder", "aileron", "throttle"]
+    np.testing.assert_array_equal(result.bag.actuators, pulses)
 
 
 def csv_of(measured: Measurements) -> str:
-    """Both streams in one table, with empty cells where a stream has no sample."""
+    """Return both streams in one table, with empty cells where a stream has no sample."""
     cells: dict[int, list[str]] = {}
     moved = np.hstack([measured.rates, measured.specific_force])
     for t_ns, values, first in (
@@ -172,11 +172,11 @@ channels:
 """
 
 
-def test_table(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    """Decimals hold everything: the same to the bit, nanoseconds since 1970 included."""
-    it = importer(*table(tmp_path, csv_of(measured), COLUMNS))
-    assert_same(measured, it, np.float64, 0.0)
-    np.testing.assert_array_equal(it.bag.actuators, measured.actuators)
+def test_table_round_trip(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
+    """Decimals hold every bit, nanoseconds since 1970 included."""
+    result = importer(*table(tmp_path, csv_of(measured), COLUMNS))
+    assert_same(measured, result, np.float64, 0.0)
+    np.testing.assert_array_equal(result.bag.actuators, measured.actuators)
 
 
 OTHER_UNITS = """\
@@ -192,21 +192,21 @@ channels:
 """
 
 
-def test_tables_of_other_units(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    """Counts of degrees and g, knots, milliseconds: the same flight to rounding."""
+def test_table_units_become_si(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
+    """The table holds counts of degrees and g, knots, milliseconds."""
     since_start = measured.imu_t_ns - measured.imu_t_ns[0]
     moved = [16.4 * np.degrees(measured.rates), 2048 * measured.specific_force / 9.80665]
     others = np.tile([20.0 / (1852.0 / 3600.0), 1500.0], (len(since_start), 1))
     rows = zip(since_start // 1_000_000, np.hstack([*moved, others]).tolist(), strict=True)
     text = "ms;P;Q;R;X;Y;Z;kn;s1\n"
     text += "\n".join(";".join([str(t), *map(repr, row)]) for t, row in rows)
-    it = importer(*table(tmp_path, text, OTHER_UNITS), "--airspeed")
-    imported, values, _ = it
+    result = importer(*table(tmp_path, text, OTHER_UNITS), "--airspeed")
+    imported, values, _ = result
     np.testing.assert_allclose(imported.rates, measured.rates, rtol=1e-12)
     np.testing.assert_allclose(imported.specific_force, measured.specific_force, rtol=1e-12)
     np.testing.assert_allclose(imported.airspeed, 20.0, rtol=1e-12)
     np.testing.assert_array_equal(imported.imu_t_ns, np.maximum(since_start, FIRST_NS))
-    replay(it.folder, tmp_path / "out", by=it.folder / "identifier.yaml")
+    replay(result.folder, tmp_path / "out", by=result.folder / "identifier.yaml")
     inputs = summary(tmp_path / "out")["inputs"]
     assert all(entry["dropped"] == {} for entry in inputs.values())  # the first row, too
     assert imported.frame_ids == {"base_link"}
@@ -226,7 +226,7 @@ DELAY_NS = 60_000_000
 
 
 def px4_example(folder: Path) -> Path:
-    """The example flight as a PX4 log, with a delay: the log does not say it."""
+    """Write the example flight as a PX4 log, with a delay that the log does not declare."""
     recorded = contents(BAGS / "c172p")
     recorded.actuator_t_ns -= DELAY_NS
     recorded.rates *= TO_FRD
@@ -237,10 +237,10 @@ def px4_example(folder: Path) -> Path:
     return write_ulog(folder / "c172p.ulg", topics, FIXED_WING)
 
 
-def test_the_whole_way_from_a_log_to_a_verdict(
+def test_an_imported_log_is_usable_with_the_coefficients_of_its_flight(
     tmp_path: Path, importer: Importer, replayed_example: Path
 ) -> None:
-    """By the two commands a user types, without an option."""
+    """Import and replay run without an option."""
     bag, output = importer(px4_example(tmp_path)).folder, tmp_path / "imported"
     assert replay(bag, output, by=bag / "identifier.yaml") == 0
     imported, recorded = summary(output), summary(replayed_example)
@@ -250,5 +250,5 @@ def test_the_whole_way_from_a_log_to_a_verdict(
     for coefficient in ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr"):
         found, expected = (s["coefficients"][coefficient]["value"] for s in (imported, recorded))
         # 2 ms of delay cost 8 % of the damping in yaw; control derivatives are within 3 %:
-        # a little is left for what else may change.
+        # the rest is a margin.
         assert found == pytest.approx(expected, rel=0.05 if "/d" in coefficient else 0.1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PX4 logs for the tests, as its documentation describes them: any topics, any parameters."""
+"""PX4 logs for the tests, in the documented format: any topics, any parameters."""
 
 import struct
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ Columns = Mapping[str, np.ndarray]
 
 
 def message(kind: str, content: bytes) -> bytes:
-    """One message with its header."""
+    """Return one message with its header."""
     return struct.pack("<HB", len(content), ord(kind)) + content
 
 
 def keyed(kind: str, key: str, value: bytes) -> bytes:
-    """A fact or a parameter."""
+    """Return an information or parameter message."""
     return message(kind, bytes([len(key)]) + key.encode() + value)
 
 
@@ -33,7 +33,7 @@ def write_ulog(
     parameters: Mapping[str, float],  # Initial parameters
     dropouts: tuple[tuple[int, int], ...] = (),  # Time (us) and length (ms) of each dropout
 ) -> Path:
-    """Write a log; its samples stand in the order of their times."""
+    """Write a log; its samples are in order of time."""
     start = min(int(columns["timestamp"][0]) for columns in topics.values())
     parts = [MAGIC + b"\1" + struct.pack("<Q", start), message("B", bytes(40))]
     parts += [keyed("I", "char[3] sys_name", b"PX4"), keyed("I", "char[4] ver_hw", b"TEST")]
@@ -61,14 +61,14 @@ def write_ulog(
 
 
 def stamps(t_ns: np.ndarray) -> np.ndarray:
-    """Microseconds, as PX4 stamps."""
+    """Return the stamps in microseconds, PX4's unit."""
     return (np.asarray(t_ns) // 1000).astype(np.uint64)
 
 
 def sensor_combined(
     t_ns: np.ndarray, rates: np.ndarray, force: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Columns of sensor_combined; the accelerometer is sampled with the gyro."""
+    """Return the columns of sensor_combined; gyro and accelerometer share their sample times."""
     count = len(t_ns)
     return {
         "timestamp": stamps(t_ns),
@@ -82,7 +82,7 @@ def sensor_combined(
 def commands(
     t_ns: np.ndarray, values: np.ndarray, field: str, delay_us: int = 0
 ) -> dict[str, np.ndarray]:
-    """Columns of a topic of commands, published some time after the sample they answer."""
+    """Return the columns of a topic of commands, published `delay_us` after their gyro sample."""
     published = stamps(t_ns)
     return {
         "timestamp": published,
@@ -92,6 +92,6 @@ def commands(
 
 
 def padded(values: np.ndarray, size: int) -> np.ndarray:
-    """Columns of unused entries behind the used ones: NaN, as PX4 leaves them."""
+    """Append columns of unused entries: NaN, as in PX4."""
     unused = np.full((len(values), size - values.shape[1]), np.nan)
     return np.hstack([values, unused])
