@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""For all tests: BLAS threads, signals, drawn examples, and a ROS domain of their own."""
+"""Setup of all tests: BLAS threads, signals, Hypothesis profiles, separate ROS domains."""
 
 import fcntl
 import gc
@@ -16,14 +16,14 @@ from hypothesis import settings
 import uav_ident_ros  # noqa: F401
 from uav_ident_ros.process import own_domain
 
-# A shell starts what it runs in the background with SIGINT ignored, and every child inherits
-# that: the programs under test could not be interrupted.
+# A shell starts background processes with SIGINT ignored, and every child inherits that:
+# the programs under test could not be interrupted.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # `nohup`: a handler is not inherited
     signal.signal(signal.SIGHUP, lambda *_: None)
 
-# Every run draws the same examples, however slow the machine is. Others, and more of them:
+# Every run draws the same examples on any machine. New examples, ten times as many:
 # scripts/test --hypothesis-profile anew
 settings.register_profile(
     "repeatable", max_examples=50, derandomize=True, deadline=None, database=None
@@ -34,9 +34,9 @@ settings.load_profile("repeatable")
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Give every worker its share of the tests of nodes, among its first: they wait for each other.
+    """Spread the node tests over the workers, early in each share: they mostly wait.
 
-    A worker begins with its part of the list, and the last that are left compute all the time.
+    Each worker starts with its own share of the list; pure computation remains for the end.
     """
     workers = getattr(config, "workerinput", {}).get("workercount", 1)
     files = [list(own) for _, own in groupby(items, key=lambda item: item.path)]
@@ -54,14 +54,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """Spare the garbage collector what stays: the modules and the tests."""
+    """Exclude modules and collected tests from garbage collection."""
     gc.collect()
     gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep the traffic, logs and saved files of this process and its children to themselves."""
+    """Isolate the DDS traffic, logs and saved files of this process and its children."""
     environment = {
         "ROS_LOG_DIR": str(tmp_path_factory.mktemp("log")),
         "ROS_HOME": str(tmp_path_factory.mktemp("ros_home")),
@@ -78,7 +78,7 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def replayed_example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results and report of a replay of the JSBSim aircraft's committed bag.
 
-    The first worker of the run that needs it makes it, for all.
+    The first worker of the run that needs them creates them for all workers.
     """
     from excerpts import BAGS, replay
 

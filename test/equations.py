@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An aircraft in numbers, its equations of motion as books write them, slopes by differences."""
+"""Reference aircraft: its coefficients, textbook equations of motion, numerical derivatives."""
 
 from collections.abc import Callable, Mapping
 
@@ -22,7 +22,7 @@ AIRCRAFT = {
 
 
 def matrix(structure: Structure, entries: Mapping[str, float]) -> FloatArray:
-    """Coefficients of a structure: these, and zeros; names that it does not have are left out."""
+    """Return a structure's coefficient matrix; missing values are zero, foreign names ignored."""
     out = np.zeros(structure.mask.shape)
     for name, value in entries.items():
         if name in structure.names:
@@ -45,13 +45,13 @@ def flight_equations(a: FloatArray, state: FloatArray, u: FloatArray, v: float) 
 
 
 def flown(a: FloatArray, state: FloatArray, u: FloatArray, v: float, seconds: float) -> FloatArray:
-    """The state that these equations lead to with inputs that are held."""
+    """Integrate the equations with constant inputs; return the final state."""
     return solve_ivp(
         lambda _, x: flight_equations(a, x, u, v), (0.0, seconds), state, rtol=1e-10, atol=1e-12
     ).y[:, -1]
 
 
 def slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
-    """Derivative by central differences, a column for each argument."""
+    """Return the derivative by central differences, one column per argument."""
     steps = 1e-6 * np.eye(len(at))
     return np.stack([(function(at + h) - function(at - h)) / 2e-6 for h in steps], axis=1)

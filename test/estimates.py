@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates as tests need them, and the messages that are made of them."""
+"""Estimates for tests, and messages of these estimates."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -14,7 +14,7 @@ from uav_ident_ros.messages.published import named_entries
 def estimate_of(
     values: FloatArray, sigma: FloatArray | None = None, *, usable: bool = True, **other: Any
 ) -> Estimate:
-    """An estimate of these coefficients; what is not given is zero, empty, or as `usable`."""
+    """Return an estimate of these coefficients; other fields are zero, empty, or as `usable`."""
     three = np.zeros(3)
     own: dict[str, Any] = {
         "t_ns": 1, "predicted_rates": three, "prediction_error": three, "fit": three,
@@ -25,7 +25,7 @@ def estimate_of(
 
 
 def as_message(estimate: Estimate, structure: Structure) -> Any:
-    """The message of the identifier's own making, as attributes."""
+    """Return the identifier's message of an estimate, as attributes."""
     names, positions, efforts = named_entries(estimate, structure)
     seconds, rest = divmod(estimate.t_ns, 10**9)
     return SimpleNamespace(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of the committed bags, changed on the way, and replays of them."""
+"""Parts of the committed bags, modified on request, and replays of them."""
 
 import json
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def excerpt(
     change: Callable[[str, int, Any], list[Entry] | None] | None = None,
     begin: float = 0.0,
 ) -> Path:
-    """Copy a part of a committed bag; `change` edits messages, or gives what is written instead."""
+    """Copy a part of a committed bag; `change` edits each message or returns its replacements."""
     with Bag(BAGS / source) as bag, BagWriter(target) as writer:
         decoders = {topic: bag.decoder(topic) for topic in (IMU, ACTUATORS)}
         announced: set[str] = set()
@@ -59,7 +59,7 @@ def excerpt(
 
 
 def decoded(bag: Path) -> dict[str, list[tuple[int, Any]]]:
-    """Log times and messages of a bag, by topic."""
+    """Return log times and messages of a bag, by topic."""
     found: dict[str, list[tuple[int, Any]]] = {}
     with Bag(bag) as opened:
         decoders = {topic: opened.decoder(topic) for topic in opened.types}
@@ -69,20 +69,20 @@ def decoded(bag: Path) -> dict[str, list[tuple[int, Any]]]:
 
 
 def parameters(name: str = "multisine", **changes: Any) -> dict[str, Any]:
-    """Parameters beside a committed bag, with changes (``__`` for the dots)."""
+    """Return the parameters beside a committed bag, with changes (``__`` for the dots)."""
     values = load_parameters(BAGS / name / "identifier.yaml", "identifier")
     return values | {key.replace("__", "."): value for key, value in changes.items()}
 
 
 def parameter_file(path: Path, **values: Any) -> Path:
-    """A file of parameters of every node; keywords with ``__`` for the dots."""
+    """Write a file of parameters for every node; keywords with ``__`` for the dots."""
     named = {key.replace("__", "."): value for key, value in values.items()}
     path.write_text(yaml.safe_dump({"/**": {"ros__parameters": named}}), encoding="utf-8")
     return path
 
 
 def replay(bag: Path, output: Path, *more: str, by: str | Path = "multisine") -> int:
-    """Run `replay` with the parameters beside a committed bag, or those of a file; its status."""
+    """Run `replay` with a committed bag's parameters or those of a file; return its status."""
     file = BAGS / by / "identifier.yaml" if isinstance(by, str) else by
     return main([str(bag), "--params-file", str(file), "--output", str(output), *more])
 
@@ -105,7 +105,7 @@ def rewritten(
     seconds: float,
     chunk: int = CHUNK,
 ) -> Path:
-    """Write the start of a flight as a recorder does: small chunks, with checksums."""
+    """Write the start of a flight in a recorder's format: small chunks, with checksums."""
     with Bag(BAGS / "multisine") as bag, target.open("wb") as file:
         writer = McapWriter(
             file, chunk_size=chunk, compression=compression, use_chunking=use_chunking
