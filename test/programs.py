@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Programs as tests run them: in a process of their own, or by their main function."""
+"""Programs under test, run in a separate process or by their main function."""
 
 import os
 import pty
@@ -30,13 +30,13 @@ Capture = pytest.CaptureFixture[str]
 
 
 def python(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    """Run Python in the repository and keep what it prints."""
+    """Run Python in the repository; capture its output."""
     command = [sys.executable, *arguments]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, **options)
 
 
 def refusal(main: Callable[[Sequence[str]], int], arguments: Sequence[str], capsys: Capture) -> str:
-    """The one line with which a program refuses its arguments."""
+    """Run a program that refuses its arguments; return its error line."""
     try:
         status: Any = main(arguments)
     except SystemExit as ended:
@@ -58,13 +58,13 @@ def wait_for(condition: Callable[[], bool], timeout: float = PATIENCE) -> bool:
 
 
 def handled(pid: int, number: Signals) -> bool:
-    """Whether a process has a handler for a signal."""
+    """Return whether a process has a handler for a signal."""
     caught = re.search(r"SigCgt:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
     return caught is not None and bool(int(caught[1], 16) >> (number - 1) & 1)
 
 
 class Terminal:
-    """A program on a terminal of 24 lines; `options` may lead its streams elsewhere."""
+    """A program on a terminal of 24 lines; `options` may redirect its streams."""
 
     def __init__(self, command: list[str], columns: int = 80, **options: Any) -> None:
         self._main, side = pty.openpty()
@@ -77,7 +77,7 @@ class Terminal:
         self.received = ""
 
     def read_until(self, words: str, timeout: float = PATIENCE) -> bool:
-        """Read until the words were shown, or the program ends; return whether they were."""
+        """Read until the program prints a text or ends; return whether the text came."""
         end = time.monotonic() + timeout
         while words not in self.received and time.monotonic() < end:
             if select.select([self._main], [], [], 0.1)[0]:
@@ -88,7 +88,7 @@ class Terminal:
         return words in self.received
 
     def close(self) -> None:
-        """Make sure that nothing is left."""
+        """End the process and close the terminal."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()

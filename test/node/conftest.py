@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node under test: its own process, its own saved coefficients, and a player beside it."""
+"""The node under test: a separate process, separate saved coefficients, and a player."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -16,7 +16,7 @@ from uav_ident_ros.process import NodeProcess, own_domain
 
 @contextmanager
 def starting(home: Path) -> Iterator[StartNode]:
-    """Start nodes in a domain of their own, with their coefficients in `home`; end them all."""
+    """Start nodes in a separate domain, with their coefficients in `home`; end them all."""
     started: list[NodeProcess] = []
 
     def start(
@@ -45,7 +45,7 @@ def starting(home: Path) -> Iterator[StartNode]:
 
 @contextmanager
 def flying(home: Path) -> Iterator[Fly]:
-    """Start nodes, each with a player that it listens to."""
+    """Start nodes, each with a player of its inputs."""
     with starting(home) as start, ExitStack() as players:
 
         def fly(
@@ -62,26 +62,26 @@ def flying(home: Path) -> Iterator[Fly]:
 
 @pytest.fixture
 def ros_home(tmp_path: Path) -> Path:
-    """Where the nodes of one test keep their coefficients: none starts from another test's."""
+    """Return the folder of one test's saved coefficients: no test starts from another's."""
     return tmp_path / "ros_home"
 
 
 @pytest.fixture
 def start_node(ros_home: Path) -> Iterator[StartNode]:
-    """Start the node; it is ended after the test."""
+    """Start a node; end it after the test."""
     with starting(ros_home) as start:
         yield start
 
 
 @pytest.fixture
 def fly(ros_home: Path) -> Iterator[Fly]:
-    """Start the node with the parameters of a recording, and a player for it."""
+    """Start a node with the parameters of a recording, and a player."""
     with flying(ros_home) as start:
         yield start
 
 
 @pytest.fixture(scope="module")
 def shared_fly(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fly]:
-    """The same, for all tests of a file."""
+    """Start a node and a player for all tests of a file."""
     with flying(tmp_path_factory.mktemp("shared")) as start:
         yield start

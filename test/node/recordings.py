@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node tests play, and what the offline replay makes of the same messages."""
+"""Recordings for the node tests, and the offline replay of the same messages."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -54,13 +54,13 @@ def recording(name: str, seconds: float) -> Recording:
 
 
 def part(flight: Recording, begin: float, end: float) -> list[Message]:
-    """Messages between two times after the start of a recording, s."""
+    """Return the messages between two times after the start of a recording, s."""
     start_ns = flight.messages[0].log_ns
     return [m for m in flight.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
 
 
 def put(name: str, value: Any) -> Spoil:
-    """Give a field of messages, however deep, a value."""
+    """Return a function that sets a field of a message, nested or not."""
 
     def change(message: Any) -> None:
         *path, last = name.split(".")
@@ -72,7 +72,7 @@ def put(name: str, value: Any) -> Spoil:
 
 
 def call(player: Player, kind: Any, service: str, **request: object) -> Any:
-    """Call a service of the node, and return its answer."""
+    """Call a service of the node; return its response."""
     name = f"{NODE}/{service}"
     client = player.node.create_client(kind, name)
     player.wait_until(client.service_is_ready, f"service '{name}'")
@@ -89,19 +89,19 @@ def change(player: Player, values: dict[str, object]) -> None:
     assert answer.result.successful, answer.result.reason
 
 
-def shown(player: Player) -> dict[str, str]:
-    """What the diagnostics say of all that has been played."""
+def entries(player: Player) -> dict[str, str]:
+    """Return the diagnostics' entries after all played messages."""
     wait_for_status(player)
     return {entry.key: entry.value for entry in player.outputs.status[-1].values}
 
 
-def wait_for_words(player: Player, words: str) -> None:
-    """Wait until the words are in the diagnostics."""
+def wait_for_text(player: Player, words: str) -> None:
+    """Wait until the diagnostics contain a text."""
     player.wait_until(lambda: any(words in s.message for s in player.outputs.status), words)
 
 
 def replayed(flight: Recording, folder: Path) -> TickValues:
-    """Run `replay` on a recording and return what its estimates bag holds."""
+    """Run `replay` on a recording; return the contents of its bag of estimates."""
     with BagWriter(folder / "flight") as bag:
         for topic, name in flight.types.items():
             bag.topic(topic, name)
@@ -115,18 +115,18 @@ def replayed(flight: Recording, folder: Path) -> TickValues:
 
 
 def wait_for_status(player: Player) -> None:
-    """Wait for a status that was made after all that has been played: the next may be older."""
+    """Wait for a status after all played messages; the next status may precede them."""
     wanted = len(player.outputs.status) + 2
     player.wait_until(lambda: len(player.outputs.status) >= wanted, "two statuses")
 
 
 def published(outputs: Outputs) -> TickValues:
-    """What a node published, tick by tick."""
+    """Return a node's outputs by tick."""
     return joined(outputs.named, outputs.predicted_rates, outputs.prediction_error)
 
 
 def joined(named: Iterable, predicted: Iterable, error: Iterable) -> TickValues:
-    """Values and deviations of the coefficients, predicted rates and their error, by tick."""
+    """Return coefficients, sigmas, predicted rates and prediction errors, by tick."""
     ticks = {header_ns(m): (*m.position, *m.effort) for m in named}
     for messages in (predicted, error):
         vectors = {header_ns(m): m.vector for m in messages}

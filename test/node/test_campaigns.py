@@ -18,8 +18,8 @@ SHORT = {"LEARNING_TIME": 12.0, "FLOOD_TIME": 0.1, "SILENCE": 0.1, "LARGEST_LOSS
 quite."""
 
 
-def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on() -> None:
-    # A process of its own: in leaving a graph of killed participants, Fast DDS may crash.
+def test_a_node_killed_while_saving_leaves_a_complete_state_file() -> None:
+    # In a separate process: Fast DDS may crash on leaving a graph of killed participants.
     done = python("benchmarks/endings.py", "kills", "--count", "2", timeout=300.0)
     first, verdict = done.stdout.splitlines()
     assert first.startswith("2 kills")
@@ -28,7 +28,7 @@ def test_a_node_killed_while_it_saves_leaves_a_whole_file_and_the_next_goes_on()
 
 
 @pytest.mark.parametrize("sim_time", [False, pytest.param(True, marks=pytest.mark.campaign)])
-def test_nothing_that_a_graph_can_do_brings_the_node_down(
+def test_random_messages_and_calls_leave_the_node_running_and_its_fit_high(
     sim_time: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bag = excerpt(tmp_path / "multisine", 15.0)

@@ -47,7 +47,7 @@ def fly(loop: Loop, folder: Path, during: Callable[[ClosedLoop], None] | None = 
 
 
 def land(running: ClosedLoop) -> None:
-    """End the flight now; the record is kept."""
+    """End the flight and keep its record."""
     running.processes["simulated_plant"].send_signal(signal.SIGINT)
 
 
@@ -55,7 +55,7 @@ def printed(running: ClosedLoop, name: str, words: str) -> bool:
     return wait_for(lambda: words in running.log(name), TIMEOUT)
 
 
-def test_a_measured_number_that_changes_is_no_news_to_the_log() -> None:
+def test_log_lines_that_differ_in_numbers_alone_are_equal() -> None:
     first, second, other = (
         f"flying on measured coefficients (pitch): {row} is measured to have {share:.2f} times"
         for row, share in (("qdot", 0.55), ("qdot", 0.6), ("rdot", 0.6))
@@ -63,20 +63,20 @@ def test_a_measured_number_that_changes_is_no_news_to_the_log() -> None:
     assert without_numbers(first) == without_numbers(second) != without_numbers(other)
 
 
-def test_a_flight_is_the_same_however_fast_the_machine_is_until_it_is_excited(
+def test_flights_are_equal_on_any_machine_until_the_excitation_starts(
     tmp_path: Path,
 ) -> None:
-    """Once more, disturbed from outside, and from three seconds on the identifier excites it."""
+    """The second flight has paused processes, and excitation after three seconds."""
 
-    def hold_up(running: ClosedLoop) -> None:
-        """Stop the controller and the identifier for a moment, somewhere in the flight."""
+    def interrupt(running: ClosedLoop) -> None:
+        """Pause the controller and the identifier for 0.4 s during the flight."""
         assert printed(running, "controller", "identified")
         for name in ("controller", "identifier"):
             running.processes[name].send_signal(signal.SIGSTOP)
             time.sleep(0.4)
             running.processes[name].send_signal(signal.SIGCONT)
 
-    # what the controller flies on has surely arrived: a busy machine may be late by 20 samples
+    # the coefficients in use have surely arrived: a busy machine may lag by 20 samples
     loop = replace(SHORT, parameters={"controller": {"coefficients_delay": "0.4"}})
     plain, logs = fly(loop, tmp_path / "plain")
     assert "; 0 samples without an answer" in logs["simulated_plant"]
@@ -85,7 +85,7 @@ def test_a_flight_is_the_same_however_fast_the_machine_is_until_it_is_excited(
     assert tracking_error(plain, 2.5, 4.5).max() < 5.0
     assert not plain["excitation"].any()
 
-    record, logs = fly(replace(loop, excite=3.0), tmp_path / "excited", hold_up)
+    record, logs = fly(replace(loop, excite=3.0), tmp_path / "excited", interrupt)
     assert "excitation is running" in logs["simulated_plant"]
     requested = record["excitation"]
     started = float(record["time"][requested.any(axis=1)][0])
@@ -96,13 +96,13 @@ def test_a_flight_is_the_same_however_fast_the_machine_is_until_it_is_excited(
     whole = record["time"] < FAULT
     requested = requested[whole]
     answer = (record["outputs"] - plain["outputs"])[whole, :3]
-    for k in range(3):  # the feedback answers what it sees of it, no more
+    for k in range(3):  # the feedback attenuates the excitation and does not reverse it
         share = float(requested[:, k] @ answer[:, k] / (requested[:, k] @ requested[:, k]))
         assert 0.2 < share < 1.5
     assert tracking_error(record, 4.0, FAULT).max() < 10.0
 
 
-def test_the_identifier_may_be_killed_and_faults_come_by_topic(tmp_path: Path) -> None:
+def test_a_flight_survives_a_killed_identifier_and_takes_faults_by_topic(tmp_path: Path) -> None:
     def kill_and_restart(running: ClosedLoop) -> None:
         assert printed(running, "controller", "identified")
         running.processes["identifier"].kill()
@@ -129,7 +129,7 @@ def test_the_identifier_may_be_killed_and_faults_come_by_topic(tmp_path: Path) -
 
 
 def publish_faults(running: ClosedLoop, *commands: str) -> None:
-    """Tell the plant of faults by its topic, and let it fly on for some samples."""
+    """Publish faults to the plant, and continue for some samples."""
     with closing(Guest("pilot")) as pilot:
         publisher = pilot.node.create_publisher(String, "simulated_plant/fault", 10)
         assert pilot.spin_for(TIMEOUT, lambda: publisher.get_subscription_count() > 0)
@@ -138,13 +138,13 @@ def publish_faults(running: ClosedLoop, *commands: str) -> None:
         assert printed(running, "simulated_plant", commands[-1])
         flown: list[Imu] = []
         speeds: list[TwistStamped] = []
-        for kind, topic, heard in ((Imu, "imu/data", flown), (TwistStamped, "airspeed", speeds)):
-            pilot.node.create_subscription(kind, topic, heard.append, qos_profile_sensor_data)
+        for kind, topic, received in ((Imu, "imu/data", flown), (TwistStamped, "airspeed", speeds)):
+            pilot.node.create_subscription(kind, topic, received.append, qos_profile_sensor_data)
         assert pilot.spin_for(TIMEOUT, lambda: len(flown) > 20 and len(speeds) > 1)
         assert speeds[-1].twist.linear.x == pytest.approx(53.0, abs=6.0)
 
 
-def test_in_lock_step_commands_are_offered_once_the_identifier_is_heard(tmp_path: Path) -> None:
+def test_the_controller_publishes_commands_once_coefficients_are_offered(tmp_path: Path) -> None:
     given, module = {"coefficients_delay": 0.3}, "uav_ident_ros.controller_example"
     with (
         own_domain(),
@@ -169,10 +169,10 @@ def test_a_process_that_does_not_start_ends_the_flight(tmp_path: Path, capsys: C
     assert "is none of" in capsys.readouterr().err
 
 
-def test_on_fixed_coefficients_the_aircraft_is_lost_and_leaves_its_record_and_the_table(
+def test_on_fixed_coefficients_the_aircraft_is_lost_and_its_record_is_kept(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    fault = "4: aileron effect -1"  # which nobody survives on fixed coefficients
+    fault = "4: aileron effect -1"  # not survivable on fixed coefficients
     arguments = ["--duration", "60", "--mode", "fixed", "--fault", fault]
     with own_domain():
         assert main([*arguments, "--output", str(tmp_path)]) == 1
@@ -195,4 +195,4 @@ def test_on_fixed_coefficients_the_aircraft_is_lost_and_leaves_its_record_and_th
     np.testing.assert_allclose([float(v) for v in row[5:]], error, atol=0.005)
     log = (tmp_path / "controller.log").read_text(encoding="utf-8")
     assert "flying on nominal coefficients" in log and "identified" not in log
-    assert len(record["tick"]) > 60  # the identifier runs all the same, and is recorded
+    assert len(record["tick"]) > 60  # the identifier still runs, and is recorded

@@ -19,7 +19,7 @@ from uav_ident_ros.demo import main
 PNG = b"\x89PNG"
 
 
-def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_path: Path) -> None:
+def test_the_demo_prints_the_monitor_view_and_the_results_of_a_replay(tmp_path: Path) -> None:
     bag = excerpt(tmp_path / "short", 10.0)
     shutil.copy(PARAMETERS, bag)
     options = ("--speed", "4", "--output", str(tmp_path))
@@ -37,12 +37,12 @@ def test_it_shows_a_flight_as_the_monitor_does_and_reports_as_replay_does(tmp_pa
     assert re.search(r"^/identifier  (learning|converged)  ", run.stdout, re.MULTILINE)
 
 
-def test_ctrl_c_ends_it_and_its_node_while_it_plays(tmp_path: Path) -> None:
+def test_ctrl_c_ends_the_demo_and_its_node_during_playback(tmp_path: Path) -> None:
     options = ["--speed", "1", "--output", str(tmp_path)]
     command = [sys.executable, "-m", "uav_ident_ros.demo", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as demo:
         assert demo.stdout is not None
-        assert any("/identifier" in line for line in demo.stdout)  # it shows the node
+        assert any("/identifier" in line for line in demo.stdout)  # the view of the node
         demo.send_signal(signal.SIGINT)
         assert demo.wait(30.0) == INTERRUPTED
     assert "Traceback" not in (tmp_path / "demo_c172p" / "node.log").read_text()

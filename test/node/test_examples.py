@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The examples run, and print or draw what they say."""
+"""The examples run, with the printed or drawn results of a replay or a node."""
 
 import re
 import subprocess
@@ -28,7 +28,7 @@ def test_every_example_is_listed() -> None:
     assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 
-def test_what_reads_results_reads_those_of_a_replay(replayed_example: Path) -> None:
+def test_fleet_table_reads_the_results_of_a_replay(replayed_example: Path) -> None:
     header, row = run("fleet_table.py", str(replayed_example.parent)).splitlines()
     shown = "pdot/p pdot/da qdot/q qdot/de rdot/r rdot/dr"
     assert header.split() == ["flight", "verdict", *shown.split()]
@@ -43,7 +43,7 @@ def test_live_plot_and_read_coefficients_follow_a_running_node(fly: Fly, tmp_pat
     try:
         topic = "/identifier/coefficients_named"
         player.wait_until(lambda: player.node.count_subscribers(topic) == 2, "live_plot")
-        # counted is not connected yet: the node flies on until the plot has received enough
+        # a counted subscriber may not be connected: play until the plot has enough messages
         for second in range(60):
             if plot.poll() is None:
                 player.play_in_step(part(flight, second, second + 1))
@@ -52,7 +52,7 @@ def test_live_plot_and_read_coefficients_follow_a_running_node(fly: Fly, tmp_pat
         plot.kill()
         plot.wait()
     assert picture.read_bytes().startswith(b"\x89PNG")
-    # latched: the last message is there for who comes late
+    # latched: a late subscriber receives the last message
     lines = run("read_coefficients.py", "--once").splitlines()
     assert re.fullmatch(r"\d+ s: (not )?usable", lines[0])
     assert any(re.fullmatch(r"pdot/da +[+-]?\d+\.\d+ ± \d+\.\d+", line) for line in lines)

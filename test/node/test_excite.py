@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The service ``~/excite``, the topic ``~/excitation`` over DDS, and a controller that adds it."""
+"""The service ``~/excite``, the topic ``~/excitation`` over DDS, and its addition."""
 
 import json
 import time
@@ -15,11 +15,11 @@ from recordings import (
     Recording,
     call,
     change,
+    entries,
     part,
     published,
     recording,
     replayed,
-    shown,
 )
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
@@ -50,15 +50,15 @@ def flight() -> Recording:
     return recording("multisine", 8.0)
 
 
-def listen(player: Player) -> list[JointState]:
-    """Collect the excitation that the node publishes from now on."""
+def collect_excitation(player: Player) -> list[JointState]:
+    """Subscribe to the excitation; return the growing list of its messages."""
     received: list[JointState] = []
     player.node.create_subscription(JointState, f"{NODE}/excitation", received.append, 1000)
     return received
 
 
 def sent(message: JointState) -> bytes:
-    """Bytes of a message as DDS sends it: `serialize_message` adds some behind them."""
+    """Return a message's bytes on DDS, without the padding by `serialize_message`."""
     joints = joint_state(header_ns(message), message.name, message.position)
     return bytes(jazzy_types().serialize_cdr(joints, JOINT_STATE))
 
@@ -69,14 +69,14 @@ def positions(messages: list[JointState]) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def player(flight: Recording, shared_fly: Fly) -> Player:
-    """A player for a node that starts cold whenever the recording starts again."""
+    """Return a player for a node that starts cold at every restart of the recording."""
     return shared_fly(flight, parameters=PARAMETERS, sim_time=True)[1]
 
 
 def test_a_run_is_published_tick_by_tick_and_aborted_at_once(
     flight: Recording, player: Player
 ) -> None:
-    received = listen(player)
+    received = collect_excitation(player)
     player.play_in_step(part(flight, 0.0, 2.0))
     received.clear()
     assert call(player, SetBool, "excite", data=True).success
@@ -90,7 +90,7 @@ def test_a_run_is_published_tick_by_tick_and_aborted_at_once(
     requested = positions(received)
     assert (np.abs(requested).max(axis=0) > [0.006, 0.012, 0.018, -1.0]).all()
     assert (np.abs(requested).max(axis=0) <= [0.0101, 0.0202, 0.0303, 0.0]).all()
-    values = shown(player)
+    values = entries(player)
     assert values["excite: state"] == "running"
     assert float(values["excite: elapsed [s]"]) > 2.0
     assert {"excite: not known yet", "excite: until known [s]"} <= values.keys()
@@ -99,38 +99,38 @@ def test_a_run_is_published_tick_by_tick_and_aborted_at_once(
     answer = call(player, SetBool, "excite", data=False)
     assert answer.success and answer.message == "excitation is zero"
     player.wait_until(lambda: len(received) > 0, "zero")
-    assert header_ns(received[0]) < stamps[-1]  # what lies ahead is called off
+    assert header_ns(received[0]) < stamps[-1]  # the scheduled excitation is cancelled
     player.play_in_step(part(flight, 5.0, 8.0))
     assert not positions(received).any()
-    assert len(received) < 20  # half a second, then silence
-    assert shown(player)["excite: last run"] == "aborted: asked for"
+    assert len(received) < 20  # half a second, then no message
+    assert entries(player)["excite: last run"] == "aborted: asked for"
 
 
-def test_a_run_is_aborted_when_the_inputs_fail(flight: Recording, player: Player) -> None:
-    received = listen(player)
+def test_a_run_is_aborted_when_no_input_messages_arrive(flight: Recording, player: Player) -> None:
+    received = collect_excitation(player)
     player.play_in_step(part(flight, 0.0, 2.0))
     assert call(player, SetBool, "excite", data=True).success
     now_ns = part(flight, 0.0, 2.0)[-1].log_ns + 100 * MS
-    for k in range(90):  # time goes on, nothing else
+    for k in range(90):  # time alone advances
         player.send_clock(now_ns + k * 10 * MS)
         player.spin_for(0.02)
-    player.wait_until(lambda: shown(player)["excite: state"] == "idle", "the end of the run")
-    assert "no ticks any more" in shown(player)["excite: last run"]
+    player.wait_until(lambda: entries(player)["excite: state"] == "idle", "the end of the run")
+    assert "no ticks any more" in entries(player)["excite: last run"]
     assert not positions(received[-1:]).any()
 
 
-def test_a_replay_of_the_flight_reads_the_excitation_of_the_node(
+def test_a_replay_reads_the_excitation_and_equals_the_live_node_to_the_bit(
     flight: Recording, player: Player, tmp_path: Path
 ) -> None:
-    """Live it is known at once, from a bag it comes as messages: the same to the bit."""
-    received = listen(player)
+    """The live node applies its excitation directly, the replay by messages."""
+    received = collect_excitation(player)
     player.play_in_step(part(flight, 0.0, 2.0))
     live = published(player.outputs)
     assert call(player, SetBool, "excite", data=True).success
     player.play_in_step(part(flight, 2.0, 8.0))
     live |= published(player.outputs)
     topic = f"{NODE}/excitation"
-    # each left the node with its tick, at the earliest: `input_wait` after it
+    # earliest publication: with its tick, `input_wait` later
     words = [Message(topic, header_ns(m) - 100 * MS, sent(m)) for m in received]
     assert len(words) > 100 and positions(received).any()
     both = sorted([*flight.messages, *words], key=lambda message: message.log_ns)
@@ -143,20 +143,20 @@ def test_a_replay_of_the_flight_reads_the_excitation_of_the_node(
     assert {t: offline[t] for t in common} == {t: live[t] for t in common}
 
 
-def test_a_probe_measures_the_effect_of_the_inputs(flight: Recording, player: Player) -> None:
+def test_a_probe_measures_the_control_derivatives(flight: Recording, player: Player) -> None:
     player.play_in_step(part(flight, 0.0, 2.0))
     call(player, SetBool, "excite", data=False)
     change(player, {"excitation.form": "probe", "excitation.band": [1.0, 5.0]})
     assert call(player, SetBool, "excite", data=True).success
     player.play_in_step(part(flight, 2.0, 8.0))
-    values = shown(player)
+    values = entries(player)
     assert values["excite: last run"].startswith("complete")
     for name, coefficient, true in (("da", "pdot/da", 59.9), ("de", "qdot/de", -39.6)):
-        told, _, value, *_ = values[f"excite: effect of {name}"].split()
-        assert (told, float(value)) == (coefficient, pytest.approx(true, rel=0.1))
+        label, _, value, *_ = values[f"excite: effect of {name}"].split()
+        assert (label, float(value)) == (coefficient, pytest.approx(true, rel=0.1))
 
 
-def test_without_ticks_and_with_ticks_too_slow_for_the_signal_it_is_refused(
+def test_excitation_is_refused_without_ticks_and_at_too_low_an_update_rate(
     flight: Recording, fly: Fly
 ) -> None:
     assert slowest_ticks(3.0) == 12.0  # four in a cycle
@@ -176,7 +176,7 @@ START_UP = 120.0
 
 
 class Controller(Guest):
-    """A controller that does nothing but to add the excitation, on the wall clock."""
+    """A controller that only adds the excitation, on the wall clock."""
 
     def __init__(self) -> None:
         super().__init__("controller")
@@ -189,7 +189,7 @@ class Controller(Guest):
         self._next_ns = time.time_ns()
 
     def fly_one_sample(self) -> None:
-        """Publish a sample of quiet flight, and see what is to be added to the answer."""
+        """Publish a sample of quiet flight and the excitation as command."""
         self._next_ns += PERIOD_NS
         self.spin_for((self._next_ns - time.time_ns()) * 1e-9)
         self._executor.spin_once(timeout_sec=0.0)
@@ -205,7 +205,7 @@ class Controller(Guest):
         )
 
 
-def test_a_killed_node_leaves_the_controller_at_zero(start_node: StartNode) -> None:
+def test_the_excitation_ends_when_the_node_is_killed(start_node: StartNode) -> None:
     node = start_node(
         parameters={
             "actuators.type": "sensor_msgs/msg/JointState",
@@ -220,7 +220,7 @@ def test_a_killed_node_leaves_the_controller_at_zero(start_node: StartNode) -> N
         end = time.monotonic() + START_UP
         while not all(on for _, on in controller.added[-20:]) or len(controller.added) < 20:
             assert time.monotonic() < end, node.log
-            # again and again: on a busy machine a run may be aborted, for want of samples
+            # repeated: on a busy machine missing samples may abort a run
             if client.service_is_ready() and len(controller.added) % 50 == 0:
                 client.call_async(SetBool.Request(data=True))
             controller.fly_one_sample()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bad messages are dropped, counted and named; the estimate is as if they had never come."""
+"""Bad messages are dropped, counted and named, without an effect on the estimate."""
 
 import math
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ LATE_S = -0.2
 
 
 def stamped(seconds: float) -> Spoil:
-    """Move the stamp by so many seconds; by 0, there is none."""
+    """Return a function that shifts the stamp by some seconds; 0 clears the stamp."""
 
     def change(message: Any) -> None:
         moved_ns = header_ns(message) + round(seconds * 1e9) if seconds else 0
@@ -47,7 +47,7 @@ def stamped(seconds: float) -> Spoil:
 
 
 def undecodable(message: Any) -> bytes:
-    """The beginning of a message."""
+    """Return truncated bytes of a message."""
     return b"\x00\x01\x00\x00\x01"
 
 
@@ -79,12 +79,12 @@ PLAIN_REASONS = {"zero or negative stamp", "outlying stamp", "stamp far from the
 
 
 def with_bad_messages(flight: Recording) -> Iterator[tuple[Message, str]]:
-    """Messages of a flight with bad ones in between, and the reason of each bad one."""
+    """Yield a flight's messages with bad ones in between, and each drop reason."""
     position = 0
     for number, message in enumerate(flight.messages):
         yield message, ""
         if number % EVERY != EVERY - 1 or number > len(flight.messages) - 5 * EVERY:
-            continue  # at the end no tick comes due any more
+            continue  # no tick comes due at the end
         topic, change, reason = BAD[position % len(BAD)]
         position += 1
         newest = next(m for m in flight.messages[number::-1] if m.topic == topic)
@@ -99,7 +99,7 @@ def flight() -> Recording:
 
 
 def drops(player: Player, stream: str) -> dict[str, int]:
-    """Drops by reason, from the newest diagnostics."""
+    """Return the drops by reason, from the newest diagnostics."""
     prefix = f"{stream}: dropped: "
     return {
         entry.key.removeprefix(prefix): int(entry.value)
@@ -108,10 +108,10 @@ def drops(player: Player, stream: str) -> dict[str, int]:
     }
 
 
-def test_bad_messages_leave_no_trace_in_the_estimate(
+def test_bad_messages_have_no_effect_on_the_estimate(
     flight: Recording, fly: Fly, tmp_path: Path
 ) -> None:
-    """On system time, with the events executor: the same to the bit as a replay, too."""
+    """On system time, with the events executor; the reference is a replay."""
     node, player = fly(flight)
     played = list(with_bad_messages(flight))
     player.play_in_step([message for message, _ in played])

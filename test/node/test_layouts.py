@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shipped layouts: well-formed, and every path in them is one that the node really publishes.
+"""The shipped layouts: well-formed, and the node publishes every path in them.
 
-The programs' rules are written here a second time, from their sources: how PlotJuggler restores
-its widgets and its ROS parser names series, and the grammar of Foxglove's message paths.
+This file restates the programs' rules from their sources: PlotJuggler's restoration of widgets
+and its names of series, and the grammar of Foxglove's message paths.
 """
 
 import json
@@ -41,19 +41,19 @@ CURVES = [curve for panel in PANELS.values() for curve in panel.get("paths", ())
 
 
 def entries_in_plotjuggler() -> Counter[tuple[str, str]]:
-    """Name and part of every entry of ~/coefficients_named that is drawn."""
+    """Count name and part of every drawn entry of ~/coefficients_named."""
     own = [c.removeprefix(f"{NAMED}/") for c in DRAWN if c.startswith(f"{NAMED}/")]
     return Counter((name, part) for name, _, part in (c.rpartition("/") for c in own))
 
 
 def entries_in_foxglove() -> Counter[tuple[str, str]]:
-    """Name and part of every entry, by its index in the arrays."""
+    """Count name and part of every drawn entry, by its index in the arrays."""
     names = entry_names(STRUCTURE)
     found = [re.fullmatch(rf"{NAMED}\.(\w+)\[(\d+)\]", curve["value"]) for curve in CURVES]
     return Counter((names[int(m.group(2))], m.group(1)) for m in found if m is not None)
 
 
-def test_both_programs_draw_every_coefficient_once_with_its_deviation() -> None:
+def test_both_layouts_draw_every_coefficient_once_with_its_sigma() -> None:
     coefficients = {(name, part) for name in STRUCTURE.names for part in ("position", "effort")}
     others = {(n, "position") for n in entry_names(STRUCTURE) if n not in STRUCTURE.names}
     drawn = entries_in_plotjuggler()
@@ -62,27 +62,27 @@ def test_both_programs_draw_every_coefficient_once_with_its_deviation() -> None:
     assert drawn == entries_in_foxglove()
 
 
-def test_plotjuggler_is_restored_with_its_subscriber() -> None:
-    """As its ROS plugins save it since January 2024, see their parser_configuration.cpp."""
+def test_the_plotjuggler_layout_restores_its_subscriber_and_topics() -> None:
+    """The format is that of its ROS plugins since January 2024 (parser_configuration.cpp)."""
     (streamer,) = PLOTJUGGLER.findall("Plugins/plugin")
     (previous,) = PLOTJUGGLER.findall("previouslyLoaded_Streamer")
     assert streamer.get("ID") == previous.get("name") == "ROS2 Topic Subscriber"
     saved = {child.tag: str(child.get("value")) for child in streamer}
     assert saved["use_header_stamp"] == "true"
-    # a larger array is cut or thrown away: ~/coefficients_named must pass whole
+    # larger arrays are cut or discarded: ~/coefficients_named must fit
     assert int(saved["max_array_size"]) > max(len(entry_names(s)) for s in STRUCTURES.values())
     topics = saved["selected_topics"].split(";")
     assert all(any(name.startswith(f"{topic}/") for name in DRAWN) for topic in topics)
 
 
 def leaves(layout: Any) -> list[str]:
-    """Panel ids of a tree of splits."""
+    """Return the panel ids of a tree of splits."""
     if isinstance(layout, str):
         return [layout]
     return leaves(layout["first"]) + leaves(layout["second"])
 
 
-def test_foxglove_finds_every_panel_once_and_draws_by_the_stamps() -> None:
+def test_the_foxglove_layout_has_every_panel_once_on_header_stamps() -> None:
     tabs = PANELS[FOXGLOVE["layout"]]["tabs"]
     shown = [panel for tab in tabs for panel in leaves(tab["layout"])]
     assert Counter(shown) == Counter(set(PANELS) - {FOXGLOVE["layout"]})
@@ -95,7 +95,7 @@ def test_foxglove_finds_every_panel_once_and_draws_by_the_stamps() -> None:
 
 
 def numbers(topic: str, path: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Every number of a message: the series that PlotJuggler makes of it, Foxglove's path to it."""
+    """Yield every number of a message: its series in PlotJuggler, its path in Foxglove."""
     if isinstance(value, JointState):
         for part in ("position", "velocity", "effort"):
             for i, (name, _) in enumerate(zip(value.name, getattr(value, part), strict=False)):
@@ -116,7 +116,7 @@ def numbers(topic: str, path: str, value: Any) -> Iterator[tuple[str, str]]:
 
 @pytest.fixture
 def messages(fly: Fly) -> dict[str, Any]:
-    """What the node publishes for a flight, in the structure that the layouts are made for."""
+    """Return the node's messages for a flight, in the structure of the layouts."""
     flight = recording("c172p", 6.0)
     _, player = fly(flight, parameters={"structure": STRUCTURE.name}, sim_time=True)
     player.play_in_step(flight.messages)
@@ -135,7 +135,7 @@ def messages(fly: Fly) -> dict[str, Any]:
     }
 
 
-def test_the_layouts_draw_what_the_node_publishes(messages: dict[str, Any]) -> None:
+def test_the_node_publishes_every_path_of_the_layouts(messages: dict[str, Any]) -> None:
     there = [pair for topic, message in messages.items() for pair in numbers(topic, topic, message)]
     series, paths = {name for name, _ in there}, {path: name for name, path in there}
     assert DRAWN

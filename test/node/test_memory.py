@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state file: what is started from, what is refused and why, and when it is written."""
+"""The state file: start from it, its refusal with the reason, and the times of writing."""
 
 import os
 import re
@@ -39,13 +39,13 @@ def coefficients(value: float, structure: str = "augmented") -> CoefficientSet:
 
 
 @pytest.fixture(autouse=True)
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait for the disk: on a busy machine a file takes longer than the node would."""
+def long_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Extend the time limit: on a busy machine a file takes longer than the node's limit."""
     monkeypatch.setattr(memory, "ANSWER_WITHIN", 30.0)
 
 
 class Vehicle:
-    """An identifier with a memory, as the node has them."""
+    """An identifier with a memory, as in the node."""
 
     def __init__(self, path: Path, **settings: object) -> None:
         given = {name.replace("__", "."): value for name, value in settings.items()}
@@ -60,7 +60,7 @@ class Vehicle:
         return self.identifier.coefficient_set().values
 
     def learn(self, value: float) -> None:
-        """Stand for what a flight would have taught."""
+        """Set the coefficients as after a flight."""
         self.identifier.resume(coefficients(value))
 
     def estimate(self, *, usable: bool) -> Estimate:
@@ -78,7 +78,7 @@ def write(path: Path, values: CoefficientSet, **notes: object) -> None:
     save_coefficients(values, path, Notes(**notes))
 
 
-def test_every_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_node_has_a_separate_state_file(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_HOME", "/var/pilot/ros")
     folder = "/var/pilot/ros/uav_ident_ros"
     assert state_path(Settings(), "/identifier") == Path(f"{folder}/identifier.yaml")
@@ -99,7 +99,7 @@ def test_every_node_has_a_file_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_state_file_that_cannot_be_used_is_named_and_kept_aside(
+def test_an_unusable_state_file_is_reported_and_kept_as_refused(
     path: Path, capfd: Capture, spoil: Callable[[str], str], reason: str
 ) -> None:
     write(path, coefficients(2.0), saved=NOW, learned_with={"actuators.scale": "[]"})
@@ -115,8 +115,8 @@ def test_a_state_file_that_cannot_be_used_is_named_and_kept_aside(
     assert np.array_equal(load_with_notes(path)[0].values, vehicle.values)
 
 
-def test_age_is_that_of_the_computers_clock(path: Path, capfd: Capture) -> None:
-    """The message time is 5 ns, as simulated time may be: it does not count."""
+def test_the_age_of_the_state_file_is_by_the_system_clock(path: Path, capfd: Capture) -> None:
+    """The message time is 5 ns, as in simulated time, and has no effect."""
     day = timedelta(days=1)
     for age, started in ((day, True), (6 * day, True), (8 * day, False)):
         write(path, coefficients(2.0), saved=NOW - age)
@@ -129,7 +129,7 @@ def test_age_is_that_of_the_computers_clock(path: Path, capfd: Capture) -> None:
     vehicle = Vehicle(path)
     assert vehicle.values.any()
     assert "the computer's clock is 24 h behind" in capfd.readouterr().err
-    # without a time in it, the file has that of the disk
+    # a file without `saved` has the time of its modification
     for age, started in ((1, True), (8, False)):
         write(path, coefficients(2.0))
         moment = (NOW - timedelta(days=age)).timestamp()
@@ -148,7 +148,7 @@ def test_without_a_state_file_nothing_is_written() -> None:
     assert not Path("none").exists()
 
 
-def test_usable_coefficients_are_saved_by_themselves(path: Path) -> None:
+def test_usable_coefficients_are_saved_periodically(path: Path) -> None:
     vehicle = Vehicle(path, save_period=10.0)
     vehicle.learn(1.0)
     vehicle.memory.attend(vehicle.estimate(usable=False), now=0.0)
@@ -161,7 +161,7 @@ def test_usable_coefficients_are_saved_by_themselves(path: Path) -> None:
         assert held[STRUCTURE.mask].max() == wanted
 
 
-def test_at_the_end_usable_coefficients_are_not_lost_to_others(path: Path) -> None:
+def test_unusable_coefficients_replace_usable_ones_only_after_a_reset(path: Path) -> None:
     vehicle = Vehicle(path)
     vehicle.memory.finish(vehicle.estimate(usable=False))
     assert not path.exists(), "nothing was learned"
@@ -184,14 +184,14 @@ def test_at_the_end_usable_coefficients_are_not_lost_to_others(path: Path) -> No
     assert load_with_notes(path)[0].values.max() == 4.0
 
 
-def test_what_a_killed_process_left_is_removed(path: Path) -> None:
+def test_temporary_files_of_a_killed_process_are_removed(path: Path) -> None:
     write(path, coefficients(2.0), saved=NOW)
     path.with_name(".identifier.yaml.4711.tmp").write_text("half")
     Vehicle(path)
     assert [p.name for p in path.parent.iterdir()] == ["identifier.yaml"]
 
 
-def test_a_servo_lag_that_was_found_is_kept(path: Path) -> None:
+def test_a_saved_servo_lag_is_used_at_the_start(path: Path) -> None:
     write(path, coefficients(1.0), saved=NOW, delay=0.0125, servo_lag=0.0473)
     vehicle = Vehicle(path, actuators__estimate_delay=True)
     assert (vehicle.identifier.delay, vehicle.identifier.lag) == (0.0125, 0.0473)
@@ -199,7 +199,7 @@ def test_a_servo_lag_that_was_found_is_kept(path: Path) -> None:
     assert vehicle.identifier.lag == 0.0, "what is not told is as set"
 
 
-def test_spans_of_time_have_a_unit_that_suits() -> None:
+def test_time_spans_are_printed_in_a_suitable_unit() -> None:
     spans = (1.2, 90.0, 130.0, 7300.0, 200_000.0)
     words = ["1 s", "90 s", "2 min", "2 h", "2 days"]
     assert [in_words(timedelta(seconds=s)) for s in spans] == words
@@ -208,7 +208,7 @@ def test_spans_of_time_have_a_unit_that_suits() -> None:
 # --- through the node --------------------------------------------------------------------------
 
 
-def test_the_node_starts_cold_beside_a_damaged_file_and_goes_on_where_it_was_ended(
+def test_the_node_starts_cold_from_a_damaged_file_and_warm_from_its_own(
     fly: Fly, ros_home: Path
 ) -> None:
     flight = recording("multisine", 5.0)

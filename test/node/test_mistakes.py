@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes at the start: the log and /diagnostics name each, with what to do, within 3 s."""
+"""Mistakes at the start: the log and /diagnostics name each, with its cure, within 3 s."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -57,7 +57,7 @@ SILENT, TWICE = "silent", "twice"
 
 
 def stamp(sec: int) -> Spoil:
-    """Stamp messages so."""
+    """Return a function that sets a message's stamp, s."""
 
     def change(message: Any) -> None:
         message.header.stamp.sec = sec
@@ -67,7 +67,7 @@ def stamp(sec: int) -> Spoil:
 
 
 def frozen() -> Spoil:
-    """Stamp every message as the first."""
+    """Return a function that gives every message the stamp of the first."""
     first: list[Any] = []
 
     def change(message: Any) -> None:
@@ -80,7 +80,7 @@ def frozen() -> Spoil:
 NO_RATES = [-1.0, *[0.0] * 8]
 DROPPED = "every message on '{}' is dropped: {}"
 MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
-    # mistake: message that must come, and how the mistake is made
+    # mistake: required text, and the changes that cause it
     "armed is set, nobody publishes it": ("no message on '/armed' yet: nobody", {"armed": None}),
     "no driver": (
         "nobody publishes '/imu/data': no other topic fits: does its source run, with ROS_DOMAIN",
@@ -150,7 +150,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
 
 
 class Source(Guest):
-    """Publishes what the node listens to, right or with a mistake, and receives /diagnostics."""
+    """Publisher of the node's inputs, correct or with a mistake; receives /diagnostics."""
 
     def __init__(self) -> None:
         super().__init__("source")
@@ -169,7 +169,7 @@ class Source(Guest):
         self.received.append(f"{message.status[0].message}; {values['warnings']}")
 
     def make(self, changes: dict[str, Change]) -> None:
-        """Publish with these changes from now on."""
+        """Apply these changes to all later messages."""
         self.changes = changes
         wanted = set()
         for stream, right in RIGHT.items():
@@ -193,7 +193,7 @@ class Source(Guest):
         self._sent = self._looks = 0
 
     def send(self) -> None:
-        """Publish a message of each."""
+        """Publish one message of each stream."""
         self._t_ns += round(PERIOD * 1e9)
         self._sent += 1
         rate = 0.2 * math.sin(self._t_ns * 1e-9)
@@ -216,7 +216,7 @@ class Source(Guest):
         self._executor.spin_once(timeout_sec=PERIOD)
 
     def reports(self, words: str) -> bool:
-        """Go on until the words are in /diagnostics, or are late."""
+        """Publish until /diagnostics contains a text or the time is over; return success."""
 
         def ended() -> bool:
             self.send()
@@ -225,7 +225,7 @@ class Source(Guest):
         return wait_for(ended) and any(words in h for h in self.received)
 
     def close(self) -> None:
-        self.make({})  # no twin
+        self.make({})  # no second node of that name
         super().close()
 
 
@@ -243,7 +243,7 @@ def source() -> Iterator[Source]:
     made.close()
 
 
-def until_all_is_well(source: Source) -> None:
+def until_no_problem(source: Source) -> None:
     """Publish without a mistake until the node receives every stream."""
     source.make({})
 
@@ -255,19 +255,19 @@ def until_all_is_well(source: Source) -> None:
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_every_mistake_is_named_with_what_to_do(
+def test_every_mistake_is_named_with_its_cure(
     mistake: str, source: Source, node: NodeProcess
 ) -> None:
-    """One node for all: what is wrong may also begin in flight, and end again."""
+    """One node serves all cases: a mistake may also begin and end in flight."""
     words, changes = MISTAKES[mistake]
-    if "for more than" in words:  # only what was there can end
-        until_all_is_well(source)
+    if "for more than" in words:  # a stream must exist before it stops
+        until_no_problem(source)
     logged = len(node.log)
     source.make(changes)
     assert source.reports(words), (source.received, node.log[logged:])
     assert wait_for(lambda: words in node.log[logged:]), node.log[logged:]
 
 
-def test_after_the_mistakes_it_goes_on(source: Source, node: NodeProcess) -> None:
-    until_all_is_well(source)
+def test_the_node_recovers_after_the_mistakes(source: Source, node: NodeProcess) -> None:
+    until_no_problem(source)
     assert node.poll() is None

@@ -33,13 +33,13 @@ SILENT = re.compile(
 StartMonitor = Callable[..., subprocess.Popen[str]]
 
 
-class EnoughError(Exception):
-    """What was played for has happened."""
+class PlaybackEndError(Exception):
+    """The condition of the playback is met."""
 
 
 @pytest.fixture
 def start_monitor() -> Iterator[StartMonitor]:
-    """Start the monitor with its output in pipes, or in a file; it is ended after the test."""
+    """Start the monitor with its output in pipes or a file; end it after the test."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str, output: Path | None = None) -> subprocess.Popen[str]:
@@ -61,7 +61,7 @@ def start_monitor() -> Iterator[StartMonitor]:
         process.communicate()
 
 
-def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
+def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
     fly: Fly, start_monitor: StartMonitor, tmp_path: Path
 ) -> None:
     flight = recording("multisine", 75.0)
@@ -69,17 +69,17 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
     reached = flight.messages[0].log_ns
 
     def play_until(enough: Callable[[], bool]) -> None:
-        """Go on slowly, for a busy machine takes long to start a process."""
+        """Continue slowly: a busy machine takes long to start a process."""
 
-        def look(t_ns: int) -> None:
+        def check_time(t_ns: int) -> None:
             nonlocal reached
             reached = t_ns
             if enough():
-                raise EnoughError
+                raise PlaybackEndError
 
-        with contextlib.suppress(EnoughError):
+        with contextlib.suppress(PlaybackEndError):
             rest = [m for m in flight.messages if m.log_ns >= reached]
-            player.play(rest, speed=0.3, on_time=look, in_step=True)
+            player.play(rest, speed=0.3, on_time=check_time, in_step=True)
 
     def fly_on(seconds: float) -> None:
         nonlocal reached
@@ -87,7 +87,7 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
         player.play_in_step([m for m in flight.messages if begin <= m.log_ns < reached])
 
     def once(*arguments: str) -> tuple[int, str]:
-        """Go on until the monitor has ended; its status and what it shows."""
+        """Play until the monitor ends; return its status and its output."""
         monitor = start_monitor("--once", *arguments)
         play_until(lambda: monitor.poll() is not None)
         shown, errors = monitor.communicate(timeout=PATIENCE)
@@ -120,7 +120,7 @@ def test_a_flight_that_fits_too_little_then_well_and_when_it_is_over(
         return [float(t) for t in found]
 
     play_until(lambda: len(ticks()) >= 3)
-    # what was usable is so no more
+    # the verdict expires
     assert wait_for(lambda: bool(SILENT.search(output.read_text()))), output.read_text()[-2000:]
     monitor.send_signal(signal.SIGTERM)
     assert monitor.wait(PATIENCE) == 0
@@ -144,7 +144,7 @@ def test_once_without_a_node_or_messages_ends_with_an_error(start_monitor: Start
         assert "for 1 s" in errors
 
 
-def test_once_that_is_interrupted_does_not_say_usable(start_monitor: StartMonitor) -> None:
+def test_an_interrupted_single_view_has_no_status_of_usable(start_monitor: StartMonitor) -> None:
     monitor = start_monitor("--once", "--timeout", "600", "--node", "/nowhere/identifier")
     assert wait_for(lambda: handled(monitor.pid, signal.SIGTERM))
     monitor.send_signal(signal.SIGINT)
@@ -172,7 +172,7 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
     assert "/two/identifier  waiting  not usable  no tick yet" in output.read_text()
 
 
-def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
+def test_the_monitor_waits_for_a_node_and_restores_the_terminal(
     start_node: StartNode, start_monitor: StartMonitor
 ) -> None:
     with contextlib.closing(Terminal(MONITOR)) as terminal:
@@ -193,7 +193,7 @@ def test_it_waits_for_a_node_draws_it_in_place_and_gives_the_terminal_back(
 
     monitor = start_monitor("--plain", "--node", "/identifier")
     assert monitor.stdout.readline().startswith("/identifier")
-    monitor.stdout.close()  # a reader that goes away is no error
+    monitor.stdout.close()  # a closed pipe is no error
     assert monitor.wait(PATIENCE) == 0
     assert monitor.stderr.read() == ""
     monitor.stdout = None
@@ -216,7 +216,7 @@ def test_without_rich_the_error_names_its_package() -> None:
         (("x",), "unrecognized"),
     ],
 )
-def test_a_wrong_command_line_is_one_line(
+def test_a_wrong_command_line_is_refused_in_one_line(
     arguments: tuple[str, ...], printed: str, capsys: Capture
 ) -> None:
     assert printed in refusal(parser().parse_args, arguments, capsys)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Notices are repeated often enough to be seen, and never flood."""
+"""Throttled notices: repetition after a pause, and no flood."""
 
 import pytest
 import rclpy
@@ -13,7 +13,7 @@ from uav_ident_ros.node.notices import (
 )
 
 
-def test_a_repeated_notice_is_counted_and_repeated_later_and_delays_no_other() -> None:
+def test_repeated_notices_are_counted_and_throttled_by_kind() -> None:
     now, printed = [0.0], []
     throttle = Throttle(printed.append, clock=lambda: now[0])
     for _ in range(10):
@@ -24,13 +24,13 @@ def test_a_repeated_notice_is_counted_and_repeated_later_and_delays_no_other() -
     assert printed == ["bad", "bad too", "bad (9 more like it before)"]
 
 
-def test_a_state_with_other_numbers_is_the_same_and_ros_sources_are_left_out() -> None:
+def test_notices_are_compared_without_numbers_and_ros_source_lines() -> None:
     assert without_numbers("paused: fit 12.5 %") == without_numbers("paused: fit 9 %")
     assert without_numbers("paused: fit 9 %") != without_numbers("paused")
     assert without_sources("it failed, at /project/src/a.c:12, at b.c:3") == "it failed"
 
 
-def test_an_unexpected_error_is_logged_and_survived() -> None:
+def test_an_unexpected_error_is_logged_once_and_replaced_by_a_value() -> None:
     printed: list[str] = []
     guard = Guard(Throttle(printed.append, clock=lambda: 0.0))
 

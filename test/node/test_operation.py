@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services, names, QoS and optional inputs, as the public contract has them."""
+"""Services, names, QoS and optional inputs of the public contract."""
 
 import math
 from dataclasses import replace
@@ -48,7 +48,7 @@ def test_reset_starts_cold(flight: recordings.Recording, player: Player) -> None
     assert recordings.published(player.outputs) == first
 
 
-def test_save_writes_what_is_published_and_diagnostics_compare_with_it(
+def test_save_writes_the_published_coefficients_and_diagnostics_score_them(
     flight: recordings.Recording, player: Player
 ) -> None:
     nothing = recordings.call(player, Trigger, "save")
@@ -65,9 +65,9 @@ def test_save_writes_what_is_published_and_diagnostics_compare_with_it(
     assert np.array_equal(saved.values, dense)
     assert saved.t_ns == player.outputs.newest_ns
 
-    recordings.wait_for_status(player)  # with it the node takes note of what was written
+    recordings.wait_for_status(player)  # the status timer registers the written file
     player.play_in_step(flight.messages)
-    values, newest = recordings.shown(player), player.outputs.named[-1]
+    values, newest = recordings.entries(player), player.outputs.named[-1]
     assert float(values["saved fit p [%]"]) != 0.0
     fit = newest.position[list(newest.name).index("fit/q")]
     assert float(values["fit q [%]"]) == pytest.approx(fit, abs=0.06)
@@ -90,13 +90,13 @@ def test_adapt_switches_learning_off_and_on(flight: recordings.Recording, player
     assert recordings.call(player, SetBool, "adapt", data=False).success
     player.play_in_step(recordings.part(flight, 1.5, 3.0))
     assert {tuple(m.data) for m in player.outputs.coefficients} == {tuple(learned)}
-    recordings.wait_for_words(player, "switched off")
+    recordings.wait_for_text(player, "switched off")
     assert recordings.call(player, SetBool, "adapt", data=True).success
     player.play_in_step(recordings.part(flight, 3.0, 4.5))
     assert player.outputs.coefficients[-1].data != learned
 
 
-def test_quality_of_service_is_the_contracts(flight: recordings.Recording, player: Player) -> None:
+def test_quality_of_service_is_as_contracted(flight: recordings.Recording, player: Player) -> None:
     def profile(topic: str) -> QoSProfile:
         (end,) = player.node.get_publishers_info_by_topic(f"{recordings.NODE}/{topic}")
         return end.qos_profile
@@ -158,10 +158,10 @@ def test_node_learns_with_an_airspeed_and_only_while_armed(
         player.play_in_step(messages)
 
     player.play_in_step(recordings.part(flight, 0.0, 2.0))
-    recordings.wait_for_words(player, "no message on '/airspeed' yet")
+    recordings.wait_for_text(player, "no message on '/airspeed' yet")
     play(2.0, 4.0, armed=False)
     assert len({tuple(m.data) for m in learned}) == 1
-    recordings.wait_for_words(player, "not armed")
+    recordings.wait_for_text(player, "not armed")
     play(4.0, 6.0, armed=True)
     assert learned[-1].data != learned[0].data
     play(6.0, 8.0, armed=False)
@@ -170,7 +170,7 @@ def test_node_learns_with_an_airspeed_and_only_while_armed(
         unstamped = topic == ARMED or kind is Float64
         printed = f"'{topic}': its messages carry no time" in node.log
         assert printed is (unstamped and not one_clock)
-    values = recordings.shown(player)
+    values = recordings.entries(player)
     assert int(values["airspeed: dropped: not finite"]) == dropped
     assert int(values["airspeed: messages"]) == count
     assert "'/armed': message dropped" not in node.log

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters: declared as the settings say, and changed in flight, with a fit that recovers."""
+"""Parameters: declared from the settings, and changed in flight, with a fit that recovers."""
 
 import math
 import re
@@ -37,7 +37,7 @@ def context() -> Iterator[Context]:
 
 
 def changing(context: Context) -> tuple[Node, list[Settings]]:
-    """A node whose parameters may change, and the settings that it has applied."""
+    """Return a node with changeable parameters, and the list of its applied settings."""
     node = make_node(context)
     settings = settings_of(node, ())
     declare(node, settings)
@@ -56,7 +56,7 @@ def test_shipped_file_is_in_step_with_the_declaration() -> None:
     assert SHIPPED.read_text(encoding="utf-8") == parameter_docs.render()
 
 
-def test_shipped_file_holds_the_defaults_by_either_reader(context: Context) -> None:
+def test_shipped_file_has_the_defaults_in_rclpy_and_offline(context: Context) -> None:
     offline = Settings.from_values(load_parameters(SHIPPED, "identifier"))
     node = make_node(context, "--params-file", str(SHIPPED))
     assert settings_of(node, ()) == Settings() == offline
@@ -82,18 +82,18 @@ def test_every_parameter_is_declared_with_its_value_and_described(context: Conte
             assert described.floating_point_range[0].to_value == setting.high
 
 
-def test_change_at_run_time_is_judged_by_the_declaration(context: Context) -> None:
+def test_invalid_changes_at_run_time_are_refused_with_the_parameter(context: Context) -> None:
     node, applied = changing(context)
     for setting in declarations():
         for wrong in (-12345, None, "basline", [math.nan]):
             (result,) = node.set_parameters([Parameter(setting.name, value=wrong)])
             assert not result.successful, (setting.name, wrong)
-            # rclpy looks at the type by itself, and does not say whose.
+            # rclpy checks the type itself, without the parameter's name.
             assert setting.name in result.reason or RCLPY_REASON.match(result.reason)
     assert applied == []
 
 
-def test_change_that_is_allowed_is_applied_and_a_set_of_them_only_whole(context: Context) -> None:
+def test_valid_changes_are_applied_and_an_atomic_set_only_as_a_whole(context: Context) -> None:
     node, applied = changing(context)
     (result,) = node.set_parameters([Parameter("forgetting_time", value=60.0)])
     assert result.successful, result.reason
@@ -123,7 +123,7 @@ TICK_NS = 50_000_000
 
 
 def other(setting: Setting, value: Any) -> Any:
-    """A value that is a little different."""
+    """Return a slightly different valid value."""
     if isinstance(value, str):
         return next(choice for choice in setting.choices if choice != value)
     if isinstance(value, tuple):
@@ -132,7 +132,7 @@ def other(setting: Setting, value: Any) -> Any:
 
 
 def set_all(player: Player, settings: list[Setting], values: dict[str, Any]) -> None:
-    """Set parameters as `ros2 param set` does, one after the other."""
+    """Set parameters one after the other, like `ros2 param set`."""
     for setting in settings:
         value = values[setting.name]
         parameter = Parameter(setting.name, PARAMETER_TYPES[setting.type], value)
@@ -141,8 +141,8 @@ def set_all(player: Player, settings: list[Setting], values: dict[str, Any]) -> 
         assert result.successful, (setting.name, result.reason)
 
 
-def test_settings_that_need_no_restart_change_no_bit(fly: Fly, tmp_path: Path) -> None:
-    """Thresholds, the signal to inject, how often it saves: set them all, and the model goes on."""
+def test_settings_without_effect_on_the_model_change_no_bit(fly: Fly, tmp_path: Path) -> None:
+    """They are thresholds, the injected signal and the period of saving."""
     flight = recording("multisine", 16.0)
     _, player = fly(flight)
     half = len(flight.messages) // 2
@@ -155,8 +155,8 @@ def test_settings_that_need_no_restart_change_no_bit(fly: Fly, tmp_path: Path) -
     assert ticks | published(player.outputs) == replayed(flight, tmp_path)
 
 
-def test_every_change_is_followed_and_the_fit_recovers(fly: Fly) -> None:
-    """Each a little wrong, one after the other; then all set back, and the fit is as before."""
+def test_every_change_misses_no_tick_and_the_fit_recovers(fly: Fly) -> None:
+    """Each setting changes slightly, one after the other; then all return to their values."""
     flight = recording("multisine", 40.0)
     _, player = fly(flight)
     before = Settings.from_values(load_parameters(flight.parameter_file, "identifier")).values()
@@ -165,7 +165,7 @@ def test_every_change_is_followed_and_the_fit_recovers(fly: Fly) -> None:
     ends = flight.messages[0].log_ns + np.round(1e9 * seconds).astype(int)
 
     def play(part: int) -> tuple[list[int], list[dict[str, float]]]:
-        """Stamps, ns, and what is published with each."""
+        """Return the stamps, ns, and the published values of each."""
         begin = ends[part - 1] if part else 0
         player.play_in_step([m for m in flight.messages if begin < m.log_ns <= ends[part]])
         named = player.outputs.named

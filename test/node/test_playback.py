@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags played to the node over DDS: it publishes what the offline replay computes."""
+"""Bags played to the node over DDS: its outputs equal the offline replay."""
 
 import struct
 from dataclasses import replace
@@ -17,7 +17,7 @@ from recordings import (
     recording,
     replayed,
     wait_for_status,
-    wait_for_words,
+    wait_for_text,
 )
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -43,21 +43,21 @@ def flight() -> Recording:
 
 @pytest.fixture(scope="module")
 def shared(flight: Recording, shared_fly: Fly) -> tuple[NodeProcess, Player]:
-    """A node, and a player for it; whenever /clock jumps back it starts cold."""
+    """Return a node and a player; the node starts cold whenever /clock jumps back."""
     node, player = shared_fly(flight, sim_time=True)
-    # /diagnostics is on a steady clock: it speaks up exactly when the node's clock is silent
-    wait_for_words(player, "nothing arrives on /clock")
+    # /diagnostics uses a steady clock, so it reports a missing /clock
+    wait_for_text(player, "nothing arrives on /clock")
     assert "nothing arrives on /clock" in node.log
     assert player.outputs.named == []
     return node, player
 
 
-def test_same_to_the_bit_as_replay(
+def test_every_value_of_every_tick_equals_the_replay_to_the_bit(
     flight: Recording, shared: tuple[NodeProcess, Player], tmp_path: Path
 ) -> None:
-    """Stamped actuators, every message delivered: every value of every tick is the same.
+    """Actuators are stamped, and every message is delivered.
 
-    The same on system time, without a clock: test_hostile_input.py.
+    On system time, without /clock: test_hostile_input.py.
     """
     _, player = shared
     player.play_in_step(flight.messages)
@@ -99,7 +99,7 @@ class Cdr:
         return value
 
     def string(self) -> str:
-        length = self.number("I")  # the closing zero counts
+        length = self.number("I")  # with the terminating zero
         text = self._body[self._at : self._at + length - 1].decode()
         self._at += length
         return text
@@ -108,7 +108,7 @@ class Cdr:
         return [self.number("d") for _ in range(self.number("I"))]
 
 
-def test_both_topics_are_read_from_their_bytes_as_a_microcontroller_does(
+def test_both_topics_decode_from_their_bytes_by_the_documented_layout(
     flight: Recording, shared: tuple[NodeProcess, Player]
 ) -> None:
     _, player = shared
@@ -143,16 +143,16 @@ def test_both_topics_are_read_from_their_bytes_as_a_microcontroller_does(
             assert coefficient == value.get(f"{row}/{label}", 0.0)
 
 
-def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path: Path) -> None:
+def test_unstamped_actuators_in_real_time_cost_less_than_a_point(fly: Fly, tmp_path: Path) -> None:
     """Stamped on arrival by /clock at 100 Hz, the inputs are a few milliseconds off.
 
-    A machine too busy for real time plays slower: /clock is all that the node knows of time.
+    A machine too busy for real time plays slower: /clock is the node's only time source.
     """
     flight = recording("pulses", 8.0)
     _, player = fly(flight, sim_time=True)
     for speed in SPEEDS:
         player.outputs.clear()
-        # again from the start: the node starts cold
+        # a restart of the recording: the node starts cold
         late = player.play(flight.messages, speed=speed, in_step=True)
         player.spin_for(0.5)
         if speed * late < ON_TIME:
@@ -173,7 +173,7 @@ def test_unstamped_actuators_at_real_time_fit_within_a_point(fly: Fly, tmp_path:
     assert np.abs(run.score()["last_40_percent"].model - offline).max() < 1.0
 
 
-def test_a_bag_played_without_clock_is_a_fault_that_names_the_option(fly: Fly) -> None:
+def test_playback_without_clock_is_a_fault_that_names_the_option(fly: Fly) -> None:
     flight = recording("pulses", 3.0)
     node, player = fly(flight)
     player.play(flight.messages)

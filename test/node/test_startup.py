@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starting and stopping: wrong parameters are refused in one line, signals end it cleanly."""
+"""Start and stop: wrong parameters are refused in one line, signals end the node cleanly."""
 
 import json
 import signal
@@ -75,7 +75,7 @@ json.dump(found, sys.stdout)
 
 
 def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
-    """Parameters, parameter files, stray arguments: status 2, and one line."""
+    """The cases are parameters, parameter files and stray arguments, with status 2."""
     own = "node.__main__"
     cases = [
         (module, ["--ros-args", "-p", given], words_printed)
@@ -138,8 +138,8 @@ def test_help_is_printed_and_nothing_runs() -> None:
     assert all(f"\n  {setting.name} = " in texts["node"] for setting in declarations())
 
 
-def test_many_signals_end_it_once(start_node: StartNode) -> None:
-    """From the terminal, from launch, and once more from an impatient pilot."""
+def test_repeated_signals_end_the_node_cleanly(start_node: StartNode) -> None:
+    """Signals come from the terminal, from launch, and repeatedly from the user."""
     node = start_node()
     assert wait_for(lambda: "no message on '/imu/data' yet" in node.log), node.log
     while node.poll() is None:
@@ -149,22 +149,22 @@ def test_many_signals_end_it_once(start_node: StartNode) -> None:
     assert "Traceback" not in node.log
 
 
-def test_no_signal_falls_between_two_handlers() -> None:
-    """Many ends under a hail of signals: one in ten thousand left a traceback."""
+def test_no_signal_between_two_handlers_leaves_a_traceback() -> None:
+    """Many ends under continuous signals: formerly one in ten thousand left a traceback."""
     done = python("-c", HAIL)
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_a_signal_before_it_runs_is_not_lost(start_node: StartNode) -> None:
-    """What arrives while it still loads ends it like any other."""
+def test_a_signal_during_start_up_ends_the_node(start_node: StartNode) -> None:
+    """The signal arrives while the node loads its modules."""
     node = start_node()
     assert wait_for(lambda: handled(node.pid, signal.SIGTERM))
     assert node.end(signal.SIGTERM) == 0
     assert "Traceback" not in node.log
 
 
-def test_the_end_of_the_terminal_ends_it_and_its_parameters_sections_are_named(
+def test_hangup_ends_the_node_and_the_log_names_the_parameter_section(
     start_node: StartNode, tmp_path: Path
 ) -> None:
     """SIGTERM and SIGINT: test_memory.py."""
