@@ -38,7 +38,7 @@ IN_SIGHT = """
 
 
 class Browser:
-    """A page in a browser of its own; a context manager."""
+    """A page in a separate browser; a context manager."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class Browser:
         self._count = 0
         self._session: str | None = None
         self.width = 0  # of the page that is open; 0 before the first
-        # What the page did since it was opened: requests, console messages, errors
+        # Events since the page was opened: requests, console messages, errors
         self.events: list[dict[str, Any]] = []
         targets = self.call("Target.getTargets")["targetInfos"]
         page = next(target["targetId"] for target in targets if target["type"] == "page")
@@ -83,7 +83,7 @@ class Browser:
         os.close(self._answers)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Ask the browser for something and wait for the answer."""
+        """Send a command to the browser; return the response."""
         self._count += 1
         message = {"id": self._count, "method": method, "params": parameters}
         if self._session:
@@ -105,12 +105,12 @@ class Browser:
         return json.loads(message)
 
     def prefer(self, scheme: str) -> None:
-        """Have the reader prefer a light or a dark page."""
+        """Set the preferred colour scheme, light or dark."""
         features = [{"name": "prefers-color-scheme", "value": scheme}]
         self.call("Emulation.setEmulatedMedia", media="", features=features)
 
     def open(self, page: Path, width: int, height: int = 900) -> None:
-        """Open a file in a window of a width, on a screen like a telephone's below 600."""
+        """Open a file in a window of a width; below 600 px on a telephone's screen."""
         self.width = width
         self.call(
             "Emulation.setDeviceMetricsOverride",
@@ -125,25 +125,25 @@ class Browser:
         self.until("document.readyState === 'complete'")
 
     def until(self, expression: str) -> None:
-        """Wait until something holds in the page."""
+        """Wait until a JavaScript condition holds in the page."""
         deadline = time.monotonic() + PATIENCE
         while not self.value(expression):
             assert time.monotonic() < deadline, expression
             time.sleep(LOOK)
 
     def value(self, expression: str) -> Any:
-        """Evaluate JavaScript in the page."""
+        """Return the value of a JavaScript expression in the page."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
     def screenshot(self, **clip: float) -> bytes:
-        """Return a PNG of the whole page, or of x, y, width, height of it."""
+        """Return a PNG of the whole page, or of its part x, y, width, height."""
         area = {"clip": {**clip, "scale": 1}} if clip else {}
         answer = self.call("Page.captureScreenshot", captureBeyondViewport=True, **area)
         return base64.b64decode(answer["data"])
 
     def pdf(self) -> bytes:
-        """Print the page, on the paper of its style sheet."""
+        """Return the page as a PDF, on the paper of its style sheet."""
         answer = self.call("Page.printToPDF", preferCSSPageSize=True, printBackground=False)
         return base64.b64decode(answer["data"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A page as a tree, by the standard library's HTML parser, with the nesting checked."""
+"""Parser of a page into a tree, by the standard library, with the nesting checked."""
 
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
@@ -41,23 +41,23 @@ def parse(text: str) -> ET.Element:
 
 
 def one(element: ET.Element, path: str) -> ET.Element:
-    """The only element below another at a path."""
+    """Return the only element below another at a path."""
     (found,) = element.iterfind(f".//{path}")
     return found
 
 
 def words(element: ET.Element) -> str:
-    """All text in an element."""
+    """Return all text in an element."""
     return "".join(element.itertext())
 
 
 def table(page: ET.Element, caption: str) -> ET.Element:
-    """The table whose caption begins so."""
+    """Return the table whose caption starts with a text."""
     (found,) = [t for t in page.iter("table") if words(one(t, "caption")).startswith(caption)]
     return found
 
 
 def rows_of(page: ET.Element, caption: str) -> dict[str, list[ET.Element]]:
-    """Cells of the rows of a table, by their headings."""
+    """Return the cells of a table's rows, by the row headings."""
     rows = one(table(page, caption), "tbody").iter("tr")
     return {words(one(row, "th")): [*row.iter("td")] for row in rows}

@@ -70,14 +70,14 @@ def open_page(browser: Browser, report: Path, width: int) -> None:
     browser.until(DRAWN)
 
 
-def at_the_desk(browser: Browser, report: Path) -> None:
-    """Open the report unless it stands there already: to draw it takes seconds."""
+def open_wide(browser: Browser, report: Path) -> None:
+    """Open the report in a wide window, unless it is open: drawing takes seconds."""
     if browser.width != DESK:
         open_page(browser, report, DESK)
 
 
 def x_ranges(browser: Browser) -> dict[str, list[float]]:
-    """Begin and end of the time axis of some charts, as they are drawn."""
+    """Return start and end of the drawn time axes of some charts."""
     return {name: browser.value(X_RANGE.format(name)) for name in LINKED}
 
 
@@ -86,7 +86,7 @@ NEXT_FRAME = "new Promise(done => requestAnimationFrame(() => requestAnimationFr
 
 
 def move(browser: Browser, kind: str, x: float, y: float, **more: object) -> None:
-    """Move the mouse, or its wheel or button, and let the page draw what that did."""
+    """Send a mouse event and wait for the next drawn frame."""
     browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
     browser.call("Runtime.evaluate", expression=NEXT_FRAME, awaitPromise=True)
 
@@ -102,7 +102,7 @@ def middle_of(browser: Browser, chart: str) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("width", [TELEPHONE, DESK])
-def test_it_fits_the_window_and_requests_nothing(
+def test_the_report_fits_the_window_and_requests_nothing(
     browser: Browser, report: Path, width: int
 ) -> None:
     open_page(browser, report, width)
@@ -117,28 +117,28 @@ def test_it_fits_the_window_and_requests_nothing(
     assert all(url.startswith("data:") for url in urls[1:])
     count = browser.value("document.querySelectorAll('nav a').length")
     assert count == browser.value("document.querySelectorAll('section > h2').length")
-    for k in range(count):  # the contents lead to the headings
+    for k in range(count):  # the contents link to the headings
         browser.value(f"document.querySelectorAll('nav a')[{k}].click()")
         assert browser.value("document.querySelector(':target').tagName") == "SECTION"
 
 
-def test_a_drag_in_one_chart_moves_all_and_a_line_shows_its_values(
+def test_zoom_and_drag_apply_to_all_charts_and_a_tooltip_has_the_value(
     browser: Browser, report: Path
 ) -> None:
-    at_the_desk(browser, report)
+    open_wide(browser, report)
     whole = x_ranges(browser)
     assert len({tuple(span) for span in whole.values()}) == 1
     first, last = whole["rates-p"]
     x, y = middle_of(browser, "rates-p")
-    # in: Ctrl and the wheel
+    # zoom in: Ctrl and the wheel
     move(browser, "mouseMoved", x, y)
     move(browser, "mouseWheel", x, y, deltaX=0, deltaY=-400, modifiers=2)
     browser.until(f"({X_RANGE.format('rates-p')})[1] < {last - 1.0}")
     near = x_ranges(browser)
     assert len({tuple(span) for span in near.values()}) == 1
     assert near["rates-p"][0] > first
-    # along: drag to the left, later times come into view
-    # A button that is held for 300 ms before it moves is no drag to Bokeh: no frame in between.
+    # pan: a drag to the left shows later times
+    # Bokeh ignores a drag after 300 ms without motion: wait for no frame in between.
     press = {"type": "mousePressed", "x": x, "y": y, "button": "left", "clickCount": 1}
     browser.call("Input.dispatchMouseEvent", **press)
     for k in range(1, 6):
@@ -149,7 +149,7 @@ def test_a_drag_in_one_chart_moves_all_and_a_line_shows_its_values(
     assert len({tuple(span) for span in moved.values()}) == 1
     width = near["rates-p"][1] - near["rates-p"][0]
     assert moved["rates-p"][1] - moved["rates-p"][0] == pytest.approx(width)
-    # the hand on a line reads time and value
+    # the tooltip of a line has time and value
     x, y = middle_of(browser, "rates-q")
     move(browser, "mouseMoved", x - 5.0, y)
     move(browser, "mouseMoved", x, y)
@@ -159,21 +159,21 @@ def test_a_drag_in_one_chart_moves_all_and_a_line_shows_its_values(
     assert re.search(r"measured:?\s*[-−]?\d\.\d{4}", shown_text), shown_text
 
 
-def test_the_page_is_dark_for_who_prefers_it(browser: Browser, report: Path) -> None:
+def test_the_page_follows_the_preferred_colour_scheme(browser: Browser, report: Path) -> None:
     def brightness(scheme: str) -> int:
         browser.prefer(scheme)
         browser.call("Runtime.evaluate", expression=NEXT_FRAME, awaitPromise=True)
         with Image.open(io.BytesIO(browser.screenshot(x=2, y=2, width=8, height=8))) as corner:
             return int(sum(corner.convert("RGB").getpixel((4, 4))))
 
-    at_the_desk(browser, report)
+    open_wide(browser, report)
     assert brightness("dark") < 150 < 600 < brightness("light")
 
 
-def test_print_is_a_handful_of_a4_with_whole_charts_and_nothing_left_out(
+def test_print_has_few_a4_pages_with_unbroken_charts_and_all_tables(
     browser: Browser, report: Path
 ) -> None:
-    at_the_desk(browser, report)
+    open_wide(browser, report)
     browser.width = PAPER_WIDTH
     browser.call("Emulation.setEmulatedMedia", media="print", features=[])
     browser.call(
@@ -181,7 +181,7 @@ def test_print_is_a_handful_of_a4_with_whole_charts_and_nothing_left_out(
         width=PAPER_WIDTH, height=PAPER_HEIGHT, deviceScaleFactor=1, mobile=False,
     )  # fmt: skip
     sizes = browser.value(CHART_SIZES)
-    # Whole charts go to the next page, if they fit on one.
+    # Unbroken charts move to the next page, so each must fit on one.
     assert all(width <= PAPER_WIDTH and 40.0 < height < PAPER_HEIGHT for width, height in sizes)
     assert browser.value(OVERFLOWING) == []
     kept = "getComputedStyle(document.querySelector('figure')).breakInside"

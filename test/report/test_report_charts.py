@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the charts of the report are made from."""
+"""The data of the report's charts."""
 
 import base64
 import gzip
@@ -56,7 +56,7 @@ def test_a_thinned_line_keeps_every_peak() -> None:
     assert (np.diff(thin_t) >= 0.0).all()
     assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
     assert (thinned["z"].min(), thinned["z"].max()) == (-2.0 * y.max(), -2.0 * y.min())
-    # Within every bin of the coarse line the fine one does not leave it.
+    # Within every bin the extremes of the coarse line enclose the fine line.
     for low, high in pairwise(np.linspace(0.0, 100.0, 31)):
         fine, coarse = y[(t >= low) & (t < high)], thin_y[(thin_t >= low - 1) & (thin_t < high + 1)]
         assert coarse.min() <= fine.min()
@@ -74,7 +74,7 @@ def test_a_gap_breaks_the_line() -> None:
 # --- predictions -----------------------------------------------------------------------------
 
 
-def test_predictions_are_beside_what_was_measured(flight: Flight) -> None:
+def test_the_residual_of_the_predictions_is_small(flight: Flight) -> None:
     for horizon in (1.0, 0.05):
         ahead = predict(flight, horizon)
         settled = ahead.t > 20.0
@@ -89,14 +89,14 @@ def test_the_power_of_a_multisine_lies_in_its_band(flight: Flight) -> None:
     inputs, _ = spectrum_charts(flight)
     data = inputs.model.renderers[0].data_source.data
     frequency = data["x"]
-    inside = frequency <= 2.1 * 2.0 ** (1.0 / 3.0)  # a density is the mean of a third of an octave
+    inside = frequency <= 2.1 * 2.0 ** (1.0 / 3.0)  # a density is a mean over a third of an octave
     for name in INPUTS:
         assert data[name][~inside].max() < 1e-2 * data[name][inside].max()
 
 
-def test_a_density_is_that_of_scipy() -> None:
+def test_the_power_density_equals_that_of_scipy() -> None:
     values = np.random.default_rng(3).standard_normal(5000).cumsum()
-    from scipy import signal  # half of the time that all imports of the tests take
+    from scipy import signal  # takes half of the tests' import time
 
     _, expected = signal.welch(
         values, SAMPLE_RATE, window=np.hanning(1000), noverlap=500, detrend="linear"
@@ -104,7 +104,7 @@ def test_a_density_is_that_of_scipy() -> None:
     np.testing.assert_allclose(welch(values, 1000), expected, rtol=1e-6)
 
 
-def test_residuals_that_are_white_and_that_are_not() -> None:
+def test_autocorrelation_is_zero_if_white_and_decays_if_coloured() -> None:
     rng = np.random.default_rng(4)
     white = rng.standard_normal((20_000, 2))
     coloured = white.copy()
@@ -115,10 +115,10 @@ def test_residuals_that_are_white_and_that_are_not() -> None:
     np.testing.assert_allclose(autocorrelation(coloured, 10)[:, 0], expected, atol=0.05)
 
 
-# --- what is true ------------------------------------------------------------------------------
+# --- truth -------------------------------------------------------------------------------------
 
 
-def test_truth_follows_its_changes(tmp_path: Path) -> None:
+def test_true_coefficients_change_in_steps_by_their_factors(tmp_path: Path) -> None:
     (tmp_path / "truth.yaml").write_text(
         "coefficients: {pdot/p: -4.0, qdot/q: -5.0}\n"
         "changes:\n  - {time: 10.0, factors: {pdot/p: 0.5}}\n"
@@ -138,7 +138,7 @@ def test_truth_follows_its_changes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["", "- a", "coefficients: 3", "a: [", "changes: [{}]"])
-def test_another_file_of_that_name_is_no_truth(tmp_path: Path, content: str) -> None:
+def test_a_foreign_truth_file_gives_no_true_values(tmp_path: Path, content: str) -> None:
     assert read_truth(tmp_path, STRUCTURES["baseline"]).values == {}
     (tmp_path / "truth.yaml").write_text(content)
     assert read_truth(tmp_path, STRUCTURES["baseline"]).values == {}
@@ -147,7 +147,7 @@ def test_another_file_of_that_name_is_no_truth(tmp_path: Path, content: str) -> 
 # --- pictures --------------------------------------------------------------------------------
 
 
-def test_every_chart_over_time_moves_with_the_others(flight: Flight) -> None:
+def test_all_charts_over_time_share_axis_and_crosshair(flight: Flight) -> None:
     line = Timeline(flight.span, [3.0])
     charts = [
         *rate_charts(flight, line, predict(flight, 0.05)),
@@ -165,9 +165,9 @@ def test_every_chart_over_time_moves_with_the_others(flight: Flight) -> None:
         assert names, chart.identity
 
 
-def test_two_time_bases_are_shown_one_after_the_other(tmp_path: Path) -> None:
+def test_a_second_time_base_continues_the_time_axis(tmp_path: Path) -> None:
     def later(topic: str, log_ns: int, message: Any) -> None:
-        """From six seconds on every stamp is a day later."""
+        """Shift every stamp by a day from six seconds on."""
         message.header.stamp.sec += 86_400 * (log_ns > START_NS + 6 * SECOND_NS)
 
     bag = excerpt(tmp_path / "bag", 12.0, change=later)
@@ -200,13 +200,13 @@ def test_a_band_is_one_sigma_to_either_side(flight: Flight) -> None:
     ],
 )
 def test_a_value_has_the_figures_of_its_sigma(value: float, sigma: float, text: str) -> None:
-    # brings matplotlib, which not every worker needs
+    # imports matplotlib, unnecessary in most workers
     from uav_ident_ros.report.picture import with_sigma
 
     assert with_sigma(value, sigma) == text
 
 
-def test_no_two_things_share_a_colour() -> None:
+def test_measured_predicted_and_regressors_differ_in_colour() -> None:
     colours = [COLORS["measured"], COLORS["ahead"], *REGRESSORS.values()]
     assert len(set(colours)) == len(colours)
 
@@ -217,7 +217,7 @@ def test_every_state_has_a_colour_and_a_rank() -> None:
     assert words <= COLORS.keys()
 
 
-def test_names_that_change_from_run_to_run_are_replaced_and_numbers_are_not() -> None:
+def test_scripts_of_equal_charts_are_equal_and_keep_their_numbers() -> None:
     numbers = np.frombuffer(bytes(range(256)) * 40, dtype=np.float32)
 
     def drawn() -> tuple[str, dict[str, str]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: everything is there, with the replay's numbers, and it needs nothing else."""
+"""`report.html`: complete, self-contained, and with the numbers of the replay."""
 
 import hashlib
 import re
@@ -58,15 +58,15 @@ def summary(replayed_example: Path) -> dict[str, Any]:
 
 
 def exact(cell: ET.Element) -> float | None:
-    """The number behind a cell; None if it shows none."""
+    """Return the exact number of a cell; None if there is none."""
     found = list(cell.iter("data"))
     return float(found[0].attrib["value"]) if found else None
 
 
-# --- what is there ---------------------------------------------------------------------------
+# --- content ---------------------------------------------------------------------------------
 
 
-def test_every_section_and_chart_is_there_and_linked(page: ET.Element) -> None:
+def test_every_section_and_chart_exists_and_is_linked(page: ET.Element) -> None:
     assert [section.attrib["id"] for section in page.iter("section")] == SECTIONS
     assert charts(page) == CHARTS
     coefficients = [n.attrib["id"] for n in one(page, "section[@id='coefficients']").iter("figure")]
@@ -107,7 +107,7 @@ def test_coefficients_are_those_of_the_summary(page: ET.Element, summary: dict[s
         assert words(meaning) == MEANINGS[name]
 
 
-def test_what_is_fixed_or_unknown_has_no_t_ratio() -> None:
+def test_fixed_and_unknown_coefficients_have_no_t_ratio() -> None:
     entries = {
         "pdot/p": {"value": -6.0, "sigma": 0.0},
         "pdot/da": {"value": 30.0, "sigma": None},
@@ -122,16 +122,16 @@ def test_what_is_fixed_or_unknown_has_no_t_ratio() -> None:
     assert [str(row.cells[1]) for row in known.rows] == ["-6.5", "-", "-"]
 
 
-def test_shares_of_the_flight_make_a_whole(page: ET.Element) -> None:
+def test_shares_of_the_flight_add_up_to_100_percent(page: ET.Element) -> None:
     shares = {k: exact(cell) for k, (cell,) in rows_of(page, "Where the flight went").items()}
     assert list(shares)[-1] == "learned"
     assert shares["learned"] > 90.0
     assert sum(shares.values()) == pytest.approx(100.0)
 
 
-def test_coefficients_that_go_together_are_shown(page: ET.Element) -> None:
+def test_correlations_of_coefficients_and_inputs_are_shown(page: ET.Element) -> None:
     rows = rows_of(page, "Correlation of the coefficients of q")
-    # pitch damping and elevator power are separated by one flight, not each by its own
+    # pitch damping and elevator effect come from one flight, so their errors correlate
     assert 0.3 < abs(exact(rows["de"][3])) <= 1.0
     inputs = rows_of(page, "Correlation with the inputs")
     assert [exact(inputs[name][k]) for k, name in enumerate(INPUTS[:3])] == pytest.approx([1.0] * 3)
@@ -154,7 +154,7 @@ def test_fits_are_those_of_the_summary(
     assert rows["with measured forces, 1 s"] == measured
 
 
-def test_cards_show_the_fit_beside_holding(page: ET.Element, summary: dict[str, Any]) -> None:
+def test_cards_show_the_fit_beside_held_rates(page: ET.Element, summary: dict[str, Any]) -> None:
     fit = summary["prediction_fit"]["last_40_percent"]
     cards = list(one(page, "ul[@class='cards']").iter("li"))
     for axis, card in zip("pqr", cards, strict=True):
@@ -189,7 +189,7 @@ def test_messages_and_settings_are_those_of_the_summary(
     assert sorted([*changed, *kept]) == sorted(s.name for s in declarations())
 
 
-def test_origin_names_the_bag_by_its_hash(page: ET.Element) -> None:
+def test_the_origin_section_has_the_hash_of_the_bag_and_the_versions(page: ET.Element) -> None:
     content = (BAGS / "c172p" / "c172p.mcap").read_bytes()
     files = {name: [*map(words, cells)] for name, cells in rows_of(page, "Bag").items()}
     digest = hashlib.sha256(content).hexdigest()
@@ -199,10 +199,10 @@ def test_origin_names_the_bag_by_its_hash(page: ET.Element) -> None:
     assert versions["numpy"] == np.__version__
 
 
-# --- a file of its own -----------------------------------------------------------------------
+# --- self-contained --------------------------------------------------------------------------
 
 
-def test_nothing_is_loaded_from_anywhere_and_the_file_is_small(
+def test_the_page_loads_no_resource_and_the_file_is_small(
     page: ET.Element, replayed_example: Path
 ) -> None:
     assert (replayed_example / "report.html").stat().st_size < LARGEST_FILE
@@ -220,7 +220,7 @@ def test_nothing_is_loaded_from_anywhere_and_the_file_is_small(
 # --- another flight --------------------------------------------------------------------------
 
 
-def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: Path) -> None:
+def test_a_very_short_flight_with_an_odd_name_has_a_report(tmp_path: Path) -> None:
     name = "a <b> & \"c\" 'd'"
     bag, output = excerpt(tmp_path / name, 1.5), tmp_path / "out"
     assert replay(bag, output, "--report") == NOT_USABLE
@@ -240,7 +240,7 @@ def test_a_flight_too_short_to_judge_and_oddly_named_has_a_report_too(tmp_path: 
     assert words(one(one(page, "section[@id='delay']"), "p")).startswith("Too little")
 
 
-def test_a_servo_lag_is_told_before_a_block_was_judged_with_it() -> None:
+def test_a_servo_lag_is_reported_without_errors_of_the_delay_bank() -> None:
     found = DelayEstimate(0.02, 0.005, 0.07, 0.005, 9.0, lag=0.05, lag_sigma=0.008)
     for errors in (np.zeros((0, 3)), np.zeros((5, 3)), np.ones((5, 3))):  # none, none, all alike
         bank: Any = SimpleNamespace(estimate=found, delays=np.arange(len(errors)), errors=errors)
