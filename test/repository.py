@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def setup_arguments() -> dict[str, Any]:
-    """Run setup.py with `setuptools.setup` replaced by a recorder; return what it was given."""
+    """Run setup.py with a recording stand-in for `setuptools.setup`; return its arguments."""
     recorded: dict[str, Any] = {}
     with mock.patch.object(setuptools, "setup", lambda **arguments: recorded.update(arguments)):
         runpy.run_path(str(ROOT / "setup.py"))
@@ -25,12 +25,12 @@ def setup_arguments() -> dict[str, Any]:
 
 
 def console_scripts() -> dict[str, str]:
-    """Executables and what they call."""
+    """Return the executables and their entry points."""
     lines = setup_arguments()["entry_points"]["console_scripts"]
     return dict(re.split(r"\s*=\s*", line, maxsplit=1) for line in lines)
 
 
-# --- launch files, without launch: a stand-in for each class keeps what it was made of ---------
+# --- launch files, without launch: a stand-in for each class keeps its arguments ---------------
 
 MODULES = (
     "launch", "launch.action", "launch.actions", "launch.conditions", "launch.event_handlers",
@@ -42,7 +42,7 @@ MODULES = (
 
 @dataclass
 class Made:
-    """An object of launch: its class, and what it was made of."""
+    """An object of launch: its class and its arguments."""
 
     kind: str
     args: tuple[Any, ...]
@@ -53,21 +53,21 @@ class Made:
 
 
 class StandIn(ModuleType):
-    """A module of launch: calling one of its classes keeps the arguments."""
+    """A stand-in for a module of launch: its classes keep their arguments."""
 
     def __getattr__(self, kind: str) -> Any:
         return lambda *args, **named: Made(kind, args, named)
 
 
 def launch_entries(path: Path) -> list[Made]:
-    """What the description of a launch file holds."""
+    """Return the contents of a launch file's description."""
     with mock.patch.dict(sys.modules, {name: StandIn(name) for name in MODULES}):
         sys.modules.pop("uav_ident_ros.launching", None)
         return list(runpy.run_path(str(path))["generate_launch_description"]().args[0])
 
 
 def everything(value: Any) -> Iterator[Made]:
-    """Every object of launch in a description, however deep."""
+    """Yield every object of launch in a description, nested or not."""
     if isinstance(value, Made):
         yield value
         value = [*value.args, *value.named.values()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Aircraft as data: what the files say, and what is wrong with them."""
+"""Aircraft files: their contents, and the errors of wrong files."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ excitation: {de: 0.08, dth: 0.1}
 """
 
 
-def test_every_file_is_an_aircraft() -> None:
+def test_every_airframe_file_loads_with_name_and_excitation() -> None:
     assert {"c172p", "pa28", "T37", "A4", "J3Cub", "OV10", "ultra_stick_25e"} <= set(
         airframe_names()
     )
@@ -29,18 +29,18 @@ def test_every_file_is_an_aircraft() -> None:
         assert set(found.excitation) == {"de", "dr", "da", "dth"}
 
 
-def test_a_file_of_the_users_own_is_as_good_as_a_name(tmp_path: Path) -> None:
+def test_an_airframe_can_be_the_path_of_a_user_file(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(TEXT)
     found = airframe(str(path))
     assert (found.name, found.model, found.speed) == ("mine", "c172p", 50.0)
     assert found.autopilot.pitch_gain == 0.2
-    # a ROS parameter that is declared as a double refuses a whole number
+    # a ROS parameter of type double refuses an integer
     path.write_text(TEXT.replace("speed: 50.0", "speed: 50"))
     assert all(type(airframe(str(path), speed).speed) is float for speed in (None, 45))
 
 
-def test_another_speed_scales_what_surfaces_do() -> None:
+def test_another_speed_scales_gains_and_surface_excitation() -> None:
     usual, fast = airframe("c172p"), airframe("c172p", 2.0 * airframe("c172p").speed)
     assert fast.autopilot.roll_gain == pytest.approx(0.25 * usual.autopilot.roll_gain)
     assert fast.excitation["de"] == pytest.approx(0.25 * usual.excitation["de"])
@@ -68,7 +68,7 @@ def test_another_speed_scales_what_surfaces_do() -> None:
         (None, "there is no such file or folder"),
     ],
 )
-def test_a_wrong_file_is_named_with_what_would_be_right(
+def test_a_wrong_file_is_named_with_the_correct_value(
     tmp_path: Path, text: str | bytes | None, words: str
 ) -> None:
     path = tmp_path / "mine.yaml"
@@ -79,13 +79,13 @@ def test_a_wrong_file_is_named_with_what_would_be_right(
     assert str(path) in str(raised.value)
 
 
-def test_an_unknown_name_lists_those_known() -> None:
+def test_the_error_of_an_unknown_name_lists_the_known_names() -> None:
     with pytest.raises(SimulationError, match=r"'ufo' .*c172p.*NAME\.yaml"):
         airframe("ufo")
 
 
 def test_the_files_are_installed() -> None:
-    """`pip install` and colcon copy what `package_data` names."""
+    """`pip install` and colcon copy the files of `package_data`."""
     setup = (Path(__file__).parents[2] / "setup.py").read_text()
     for suffix in {
         path.relative_to(FOLDER.parent).parent / f"*{path.suffix}" for path in FOLDER.rglob("*.*")
@@ -94,7 +94,7 @@ def test_the_files_are_installed() -> None:
         assert f'"simulation/{parent}"' in setup
 
 
-def test_an_aircraft_writes_no_files_of_its_own(
+def test_a_jsbsim_aircraft_writes_no_output_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "jet.yaml"

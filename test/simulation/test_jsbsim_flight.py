@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights of JSBSim aircraft, and their true derivatives: against published ones and the flown."""
+"""JSBSim flights and their true derivatives, compared with flights and published values."""
 
 import dataclasses
 
@@ -34,7 +34,7 @@ def cessna() -> Flight:
 
 
 @pytest.mark.parametrize("name", airframe_names())
-def test_the_true_derivatives_explain_the_flight_of_every_aircraft(name: str) -> None:
+def test_the_true_derivatives_predict_the_accelerations_of_every_aircraft(name: str) -> None:
     flight = spec_of(name).fly()
     truth = linearise_cruise(name).derivatives
     matrix = np.array(
@@ -56,7 +56,7 @@ def test_the_true_derivatives_explain_the_flight_of_every_aircraft(name: str) ->
     assert np.abs(flight.airspeed / airframe(name).speed - 1.0).max() < 0.15
 
 
-def test_another_speed_is_flown_with_its_own_derivatives() -> None:
+def test_a_flight_at_another_speed_has_the_derivatives_of_that_speed() -> None:
     slow, usual = (
         spec_of("ultra_stick_25e", 6.0, speed=15.0).fly(),
         spec_of("ultra_stick_25e", 6.0).fly(),
@@ -66,7 +66,7 @@ def test_another_speed_is_flown_with_its_own_derivatives() -> None:
     assert ratio == pytest.approx((15.0 / 17.0) ** 2, rel=0.02)
 
 
-def test_specific_force_is_that_of_the_centre_of_gravity(cessna: Flight) -> None:
+def test_specific_force_is_at_the_centre_of_gravity(cessna: Flight) -> None:
     # From the kinematics alone: velocity over the air (calm) turned with the body, minus
     # gravity. Independent of JSBSim's forces and masses.
     v, alpha, beta = cessna.airspeed, cessna.extra["alpha"], cessna.extra["beta"]
@@ -83,7 +83,7 @@ def test_specific_force_is_that_of_the_centre_of_gravity(cessna: Flight) -> None
     for axis in range(3):
         error = np.convolve(kinematic[:, axis] - cessna.specific_force[:, axis], smooth, "valid")
         assert np.sqrt(np.mean(error**2)) < 0.05
-    # a metre ahead it would have been another
+    # a metre ahead it differs
     away = cessna.force_at((1.0, 0.0, 0.0)) - cessna.specific_force
     assert np.sqrt(np.mean(away[:, 1:] ** 2)) > 0.15
 
@@ -112,7 +112,7 @@ def test_nothing_is_printed(capfd: Capture) -> None:
 SENSORS = Sensors(rate=100.0)
 
 
-# Of the c172p at 175 ft/s and 3000 ft, established separately by others.
+# Of the c172p at 175 ft/s and 3000 ft, determined independently.
 KNOWN = {
     "pdot/p": -6.81, "pdot/r": 1.38, "pdot/dr": 3.24, "pdot/da": 31.2, "pdot/beta": -15.5,
     "qdot/q": -5.59, "qdot/de": -27.3, "qdot/alpha": -33.4,
@@ -120,14 +120,14 @@ KNOWN = {
 }  # fmt: skip
 
 
-def test_the_derivatives_are_those_known() -> None:
+def test_the_derivatives_of_the_c172p_equal_the_known_ones() -> None:
     found = linearise_cruise("c172p").derivatives
     for key, value in KNOWN.items():
         assert found[key] == pytest.approx(value, rel=0.01), key
 
 
 def test_the_small_aeroplane_has_its_published_derivatives() -> None:
-    """By hand from the coefficients published: q S b / I, and Ixz between roll and yaw."""
+    """Computed by hand from the published coefficients: q S b / I, and Ixz in roll and yaw."""
     found = linearise_cruise("ultra_stick_25e")
     ix, iy, iz, ixz = 0.07151, 0.08636, 0.15364, 0.014
     density = 1.225 * (1.0 - 2.25577e-5 * 300.0) ** 4.2559  # standard atmosphere at 300 m
@@ -135,7 +135,7 @@ def test_the_small_aeroplane_has_its_published_derivatives() -> None:
     inertia = np.array([[ix, -ixz], [-ixz, iz]])
     per_moment = force * 1.27 * np.linalg.inv(inertia)
     half_span, half_chord = (length / (2.0 * found.airspeed) for length in (1.27, 0.25))
-    arm = 0.222 - 0.2175  # the forces act that far ahead of the centre of gravity, m
+    arm = 0.222 - 0.2175  # from the centre of gravity forward to the forces, m
     for label, side, roll, yaw in (
         ("da", 0.0, 0.1646, -0.0574),
         ("dr", 0.1913, 0.0115, -0.1811),
@@ -155,7 +155,7 @@ def test_the_small_aeroplane_has_its_published_derivatives() -> None:
         assert found.derivatives[f"qdot/{label}"] == pytest.approx(qdot, rel=0.02)
 
 
-def test_more_inertia_is_less_of_every_pitch_derivative() -> None:
+def test_more_pitch_inertia_reduces_every_pitch_derivative() -> None:
     live = LiveAircraft("c172p", SENSORS)
     before = linearise(live.aircraft).derivatives
     live.apply(Fault("inertia", "pitch", 1.3))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The aircraft in the loop: commands act when they should, faults do what they say."""
+"""The aircraft in the loop: times and limits of commands, and effects of faults."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def flown(
     seconds: float = 0.5,
     **options: float,
 ) -> tuple[LiveAircraft, list[Sample]]:
-    """Hold a deflection from the first sample on."""
+    """Fly with a constant deflection from the first sample on."""
     aircraft = LiveAircraft("c172p", PERFECT, faults=[parse_fault(f) for f in faults], **options)
     command = aircraft.trim[:3].copy()
     command[PULSE[surface][0]] += size
@@ -42,15 +42,15 @@ def flown(
     return aircraft, samples
 
 
-def test_its_airspeed_is_measured_ten_times_a_second() -> None:
+def test_the_airspeed_is_measured_ten_times_a_second() -> None:
     sensors = replace(PERFECT, airspeed_noise=0.0, airspeed_bias=0.5)
     aircraft, measured = LiveAircraft("c172p", sensors), []
     for _ in range(30):
         measured.append(aircraft.sample().measured_airspeed)
         aircraft.command(None)
         aircraft.advance()
-    told = [k for k, speed in enumerate(measured) if speed is not None]
-    assert told == [0, 10, 20]
+    measured_at = [k for k, speed in enumerate(measured) if speed is not None]
+    assert measured_at == [0, 10, 20]
     assert measured[0] == pytest.approx(airframe("c172p").speed + 0.5, abs=0.3)
     assert LiveAircraft("c172p", PERFECT).sample().measured_airspeed is None
 
@@ -64,11 +64,11 @@ def test_a_command_acts_after_the_delay_and_not_before() -> None:
         assert moved.index(True) == first
 
 
-def test_commands_are_limited_to_what_the_aircraft_can_do() -> None:
+def test_commands_are_limited_to_the_range_of_the_surface() -> None:
     aircraft, _ = flown(size=3.0, seconds=0.02)
     assert aircraft.outputs[2] == pytest.approx(0.26175)
     aircraft.command(None)
-    assert aircraft.outputs[2] == pytest.approx(0.26175)  # no answer: the last one holds
+    assert aircraft.outputs[2] == pytest.approx(0.26175)  # without a command the last one holds
 
 
 def test_the_same_seed_gives_the_same_samples() -> None:
@@ -88,7 +88,7 @@ def test_the_same_seed_gives_the_same_samples() -> None:
 
 
 @pytest.mark.parametrize("surface", PULSE)
-def test_half_the_effect_is_half_the_rate(surface: str) -> None:
+def test_a_fault_of_half_the_effect_halves_the_rate(surface: str) -> None:
     def gained(*faults: str, size: float = 0.05) -> float:
         _, samples = flown(*faults, surface=surface, size=size, seconds=0.15)
         return float((samples[-1].rates - samples[0].rates)[PULSE[surface][1]])
@@ -111,7 +111,7 @@ def test_a_jammed_surface_stays_until_it_is_repaired() -> None:
 
 
 @pytest.mark.parametrize("axis", ["roll", "pitch"])
-def test_ballast_raises_the_inertia_that_it_names(axis: str) -> None:
+def test_ballast_raises_the_inertia_of_its_axis_alone(axis: str) -> None:
     aircraft, _ = flown(seconds=0.02)
     fdm = aircraft.aircraft.fdm
     names = {"roll": "inertia/ixx-slugs_ft2", "pitch": "inertia/iyy-slugs_ft2"}
@@ -134,7 +134,7 @@ def test_turbulence_begins_at_its_time() -> None:
 
 
 def test_the_centre_of_gravity_moves_by_a_share_of_the_chord_and_ballast_ends() -> None:
-    aircraft = LiveAircraft("T37", PERFECT)  # its model has no point masses of its own
+    aircraft = LiveAircraft("T37", PERFECT)  # its model has no point masses
     fdm = aircraft.aircraft.fdm
     before = fdm["inertia/cg-x-in"]
     aircraft.apply(parse_fault("cg aft 0.05"))
@@ -152,7 +152,7 @@ def test_the_centre_of_gravity_moves_by_a_share_of_the_chord_and_ballast_ends() 
         ("ultra_stick_25e", "fcs/throttle-pos-norm", 0.05),
     ],
 )
-def test_an_engine_that_is_out_has_no_thrust(name: str, thrust: str, share: float) -> None:
+def test_an_engine_failure_removes_the_thrust(name: str, thrust: str, share: float) -> None:
     aircraft = LiveAircraft(name, PERFECT)
     fdm = aircraft.aircraft.fdm
     before = fdm[thrust]
@@ -168,7 +168,7 @@ def test_a_lost_aircraft_ends_the_flight() -> None:
         flown(size=0.2, seconds=20.0)
 
 
-def test_the_configured_trim_is_the_one_that_the_plant_settles_at() -> None:
+def test_the_configured_trim_is_the_trim_of_the_plant() -> None:
     trim = LiveAircraft("c172p", PERFECT).trim
     path = CONFIG / "c172p.yaml"
     configured = load_parameters(path, "/identifier")["actuators.trim"]

@@ -16,7 +16,7 @@ EXCITED = (Segment("multisine", amplitudes=BIG, period=5.0, band=(0.2, 3.0)),)
 
 
 def surfaces_at(flight: Flight, t: float) -> np.ndarray:
-    """Independent reckoning of the held, delayed and lagged input at time t."""
+    """Return the held, delayed and lagged input at time t, computed independently."""
     times = (flight.actuator_t_ns - flight.actuator_t_ns[0]) * 1e-9 + flight.delay
     acting = times <= t + 1e-9
     if flight.time_constant == 0.0:
@@ -29,7 +29,7 @@ def surfaces_at(flight: Flight, t: float) -> np.ndarray:
 
 
 def reference(flight: Flight, gust: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Rates at `edges` by scipy, started anew where an input switches."""
+    """Return the rates at `edges` by scipy, restarted at every switch of an input."""
     structure = STRUCTURES[flight.structure]
     x = flight.rates[0]
     out = [x]
@@ -70,7 +70,7 @@ def test_the_plant_agrees_with_scipy(changes: dict) -> None:
 def test_gusts_enter_as_angular_acceleration() -> None:
     spec = PlantFlight((), 0.05, gusts=ColouredNoise(3.0, 0.01), seed=3)
     flight = spec.fly()
-    # A gust is piecewise linear between samples: scipy has to start anew at each.
+    # A gust is piecewise linear between samples: scipy restarts at each.
     wanted = reference(flight, flight.extra["gust"], flight.time)
     np.testing.assert_allclose(flight.rates, wanted, rtol=0.0, atol=1e-9)
 
@@ -87,17 +87,17 @@ def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
     assert np.std(starts) == pytest.approx(2.0, rel=0.06)
 
 
-def test_the_autopilot_feeds_back_and_its_commands_are_recorded() -> None:
+def test_the_autopilot_damps_the_rates_and_its_commands_are_recorded() -> None:
     start = (0.5, 0.4, 0.3)
     spec = PlantFlight((), 2.0, initial_rates=start, autopilot=True)
     free = dataclasses.replace(spec, autopilot=False).fly()
     held = spec.fly()
     np.testing.assert_allclose(held.inputs[0], [0.05 * 0.4, 0.08 * 0.3, -0.03 * 0.5, 0.0])
-    turned = held.rates[:30:10, 1].sum() * 0.01  # the autopilot's own integral of q
+    turned = held.rates[:30:10, 1].sum() * 0.01  # the autopilot's integral of q
     assert held.inputs[3, 0] == pytest.approx(0.05 * held.rates[30, 1] + 0.15 * turned)
     early = slice(50, 300)
     assert np.all(np.abs(held.rates[early]).sum(axis=0) < np.abs(free.rates[early]).sum(axis=0))
-    assert abs(held.rates[:, 1].sum()) < 0.8 * abs(free.rates[:, 1].sum())  # pitch comes back
+    assert abs(held.rates[:, 1].sum()) < 0.8 * abs(free.rates[:, 1].sum())  # pitch returns
     replayed = reference(held, held.extra["gust"], np.arange(0.0, 0.2001, 0.01))
     np.testing.assert_allclose(held.rates[:201:10], replayed, rtol=0.0, atol=1e-9)
 

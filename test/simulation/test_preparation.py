@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a name to a flying loop: the small electric aeroplane, in one process."""
+"""Preparation and flight of the closed loop, in one process."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def small() -> Prepared:
     return prepare(NAME, time=40.0)
 
 
-def test_what_is_identified_is_true_and_the_files_have_the_sections_of_the_nodes(
+def test_preparation_identifies_true_derivatives_and_writes_node_parameters(
     small: Prepared, tmp_path: Path
 ) -> None:
     write(small, tmp_path)
@@ -39,7 +39,7 @@ def test_what_is_identified_is_true_and_the_files_have_the_sections_of_the_nodes
     assert np.all(np.array(controller["least"]) < small.trim)
 
 
-def test_it_flies_on_what_was_identified(small: Prepared) -> None:
+def test_the_identified_coefficients_control_the_flight_repeatably(small: Prepared) -> None:
     outcome = fly_loop(small, Mission(duration=8.0), rate_controller(small), make_identifier(small))
     assert outcome.lost is None and len(outcome.time) == 800
     assert outcome.error(3.0, 8.0).max() < 5.0
@@ -48,7 +48,7 @@ def test_it_flies_on_what_was_identified(small: Prepared) -> None:
     np.testing.assert_array_equal(outcome.rates[:200], again.rates)
 
 
-def test_surfaces_stand_still_while_the_imu_is_lost(small: Prepared) -> None:
+def test_surfaces_hold_their_position_without_imu_data(small: Prepared) -> None:
     mission = Mission(duration=1.0, imu=lambda t, x, _: None if t > 0.5 else x)
     outcome = fly_loop(small, mission, rate_controller(small))
     surfaces = np.array([sample.surfaces[:3] for sample in outcome.samples])
@@ -56,7 +56,7 @@ def test_surfaces_stand_still_while_the_imu_is_lost(small: Prepared) -> None:
     assert np.ptp(surfaces[55:], axis=0).max() == 0.0
 
 
-def test_a_reversed_aileron_is_survived_and_a_fixed_law_is_lost(small: Prepared) -> None:
+def test_a_reversed_aileron_is_fatal_under_a_fixed_law_alone(small: Prepared) -> None:
     mission = Mission(duration=12.0, faults=("5: aileron effect -1",))
     adaptive = fly_loop(small, mission, rate_controller(small))
     fixed = fly_loop(small, mission, rate_controller(small, adaptive=False))
@@ -72,7 +72,7 @@ def light() -> Prepared:
     return prepare("c172p", time=40.0)
 
 
-def test_a_jammed_aileron_is_survived_by_sideslip_and_a_fixed_law_is_lost(light: Prepared) -> None:
+def test_a_jammed_aileron_is_fatal_under_a_fixed_law_alone(light: Prepared) -> None:
     mission = Mission(duration=12.0, faults=("3: aileron jams 0.06",), seed=1)
     adaptive = fly_loop(light, mission, rate_controller(light))
     fixed = fly_loop(light, mission, rate_controller(light, adaptive=False))
@@ -80,7 +80,7 @@ def test_a_jammed_aileron_is_survived_by_sideslip_and_a_fixed_law_is_lost(light:
     assert fixed.lost is not None
 
 
-def test_a_lost_aileron_leaves_pitch_and_yaw_whole(light: Prepared) -> None:
+def test_a_lost_aileron_leaves_the_errors_of_pitch_and_yaw_small(light: Prepared) -> None:
     healthy, lost = (
         fly_loop(
             light,

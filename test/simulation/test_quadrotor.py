@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quadrotor: its physics by hand, that the identifier finds it, and that the law flies it."""
+"""The quadrotor: its control derivatives, identification and control."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 
 @pytest.mark.parametrize(("name", "of"), [("pdot/da", 0), ("qdot/de", 1), ("rdot/dr", 2)])
-def test_the_control_derivatives_are_those_of_the_physics(name: str, of: int) -> None:
+def test_the_control_derivatives_follow_from_the_physics(name: str, of: int) -> None:
     small = 1e-6
     craft = LiveQuadrotor(SENSORS)
     inputs = small * np.array([name.endswith(label) for label in INPUTS])
@@ -47,7 +47,7 @@ def flight() -> Flight:
     return QuadrotorFlight(segments, 25.0, delay=0.012).fly()
 
 
-def test_it_is_identified_from_hover(flight: Flight) -> None:
+def test_the_true_derivatives_are_identified_in_hover(flight: Flight) -> None:
     sensors = Sensors(rate=200.0, gyro_noise=0.01, accelerometer_noise=0.1)
     identifier, (*_, last) = identified(measure(flight, sensors, 0))
     for name, truth in flight.local_truth.items():
@@ -56,7 +56,7 @@ def test_it_is_identified_from_hover(flight: Flight) -> None:
     assert np.degrees(np.abs(flight.extra["angles"][:, :2]).max()) < 10.0
 
 
-def test_the_command_flies_it_and_its_parameters_are_accepted(tmp_path: Path) -> None:
+def test_simulate_writes_valid_parameters_of_the_quadrotor(tmp_path: Path) -> None:
     bag = tmp_path / "quadrotor"
     assert main(["--output", str(bag), "--plant", "quadrotor", "--duration", "3"]) == 0
     values = load_parameters(bag / "identifier.yaml", "identifier")
@@ -72,16 +72,16 @@ START_NS = 1_700_000_000 * 10**9
 
 
 class Level:
-    """Levels it."""
+    """Attitude loop towards level flight."""
 
     def rates(self, _: float, roll: float, pitch: float, _dt: float) -> FloatArray:
         return np.array([-roll, -pitch, 0.0])
 
 
 def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = None) -> FloatArray:
-    """Rates minus reference over time, rad/s, under the law with the files' coefficients.
+    """Return rates minus reference over time, rad/s, with the coefficients of the files.
 
-    It is kept level, or led through the manoeuvres of the loop while it is identified.
+    The flight is level, or has the manoeuvres of the loop, with identification.
     """
     known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")
     controller = load_parameters(FILES / "quadrotor.yaml", "controller")
@@ -101,15 +101,15 @@ def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = No
     return np.array(errors)
 
 
-def test_the_law_flies_it_and_stands_a_weak_motor() -> None:
+def test_rate_errors_return_to_small_values_after_a_weak_motor() -> None:
     errors = np.abs(flown(8.0, "3: motor_front_left effect 0.7"))
     before, after = errors[100:300].max(axis=0), errors[700:].max(axis=0)
     assert before.max() < 0.05 and after.max() < 0.05
-    assert errors[300:400].max() > 0.2  # it was felt
+    assert errors[300:400].max() > 0.2  # the fault has an effect
 
 
-def test_a_weak_motor_is_a_step_of_the_constant_moments_and_relearned_within_five_seconds() -> None:
-    """The controller answers it with a step of its inputs: no control derivative has changed."""
+def test_a_weak_motor_is_a_change_of_the_constant_moments_and_is_relearned() -> None:
+    """The controller responds with a step of its inputs; no control derivative changes much."""
     values = load_parameters(FILES / "quadrotor.yaml", "identifier")
     settings = Settings.from_values({**values, "imu.convention": "frd"})
     identifier = OnlineIdentifier(
@@ -117,11 +117,11 @@ def test_a_weak_motor_is_a_step_of_the_constant_moments_and_relearned_within_fiv
     )
     errors = flown(25.0, "20: motor_front_left effect 0.7", identifier=identifier)
     found, names = identifier.coefficient_set().values, identifier.structure
-    # what it does to the yaw is small, and learned without a reset
+    # the effect on the yaw is small, and learned without a reset
     assert [change.name for change in identifier.supervisor.changed] == ["pdot/1", "qdot/1"]
     assert identifier.supervisor.changed[-1].t - START_NS * 1e-9 < 22.0
     for name, truth in Body().derivatives().items():
-        if name[-2:] in ("de", "dr", "da"):  # a quarter of the effect is 0.7 of what it was
+        if name[-2:] in ("de", "dr", "da"):  # a quarter of the effect falls to 0.7
             assert found[names.index(name)] == pytest.approx(0.925 * truth, rel=0.15), name
     healthy, after = errors[500:2000], errors[2200:]
     assert (rms(after)[:2] < 1.3 * rms(healthy)[:2]).all()
@@ -131,7 +131,7 @@ def rms(errors: FloatArray) -> FloatArray:
     return np.sqrt(np.mean(errors**2, axis=0))
 
 
-def test_its_channels_are_the_motors_and_they_act_after_the_delay() -> None:
+def test_motor_commands_follow_the_mixing_and_act_after_the_delay() -> None:
     craft = LiveQuadrotor(Sensors(rate=100.0), delay=0.02)
     assert craft.names == QUADROTOR.names
     craft.command(np.array([0.0, 0.0, 0.02]))
@@ -143,7 +143,7 @@ def test_its_channels_are_the_motors_and_they_act_after_the_delay() -> None:
     assert rolls[1] == pytest.approx(0.0, abs=1e-12) and rolls[2] > 1e-3
 
 
-def test_the_files_of_its_loop_fit_each_other() -> None:
+def test_the_parameter_and_coefficients_files_are_consistent() -> None:
     values = load_parameters(FILES / "quadrotor.yaml", "identifier")
     settings = Settings.from_values(values)
     known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reference rates lead to the wanted attitude."""
+"""The reference rates lead to the commanded attitude."""
 
 import math
 
@@ -17,7 +17,7 @@ from uav_ident_ros.simulation.rate_reference import MAX_RATES, Manoeuvres, attit
 DT = 0.01
 
 
-def test_a_perfect_follower_reaches_banks_on_both_sides_and_stays_within_limits() -> None:
+def test_ideal_tracking_reaches_both_banks_within_the_limits() -> None:
     bank, pitch = 0.5, 0.1
     manoeuvres = Manoeuvres(bank, pitch, (2.0, 4.0), 53.0, seed=3)
     roll, theta, flown = 0.0, 0.02, []
@@ -36,7 +36,7 @@ def test_a_perfect_follower_reaches_banks_on_both_sides_and_stays_within_limits(
     assert np.abs(ps).max() < 1.2 * MAX_RATES[0]
 
 
-def test_a_steady_turn_needs_the_rates_of_a_coordinated_one() -> None:
+def test_a_steady_turn_has_the_rates_of_a_coordinated_turn() -> None:
     roll, airspeed = 0.5, 53.0
     turn = GRAVITY / airspeed * math.tan(roll)
     p, q, r = body_rates(np.zeros(2), roll, 0.0, turn)
@@ -47,7 +47,7 @@ def test_a_steady_turn_needs_the_rates_of_a_coordinated_one() -> None:
 
 
 @pytest.mark.parametrize("angles", [(0.3, -0.2, 1.0), (-1.2, 0.7, -3.0), (0.0, 0.0, 0.0)])
-def test_the_attitude_survives_the_quaternion(angles: tuple[float, float, float]) -> None:
+def test_roll_and_pitch_follow_from_the_quaternion(angles: tuple[float, float, float]) -> None:
     roll, pitch, yaw = angles
     turned = quaternions(roll, -pitch, 0.5 * math.pi - yaw)
     q = Quaternion(**dict(zip("xyzw", turned.tolist(), strict=True)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors make of a flight, and the bags that hold it."""
+"""Measurements of a flight by the sensors, and their bags."""
 
 import dataclasses
 from dataclasses import replace
@@ -33,7 +33,7 @@ def recorded(folder: Path, **changes: object) -> tuple[Path, Measurements]:
 
 
 @pytest.mark.parametrize("convention", ["flu", "frd"])
-def test_rosbags_reads_back_what_was_measured(tmp_path: Path, convention: str) -> None:
+def test_rosbags_reads_the_measured_samples_from_the_bag(tmp_path: Path, convention: str) -> None:
     path, measured = recorded(tmp_path / "bag", convention=convention)
     with AnyReader([path]) as reader:
         rows = [(c.topic, t, reader.deserialize(raw, c.msgtype)) for c, t, raw in reader.messages()]
@@ -57,7 +57,7 @@ def test_rosbags_reads_back_what_was_measured(tmp_path: Path, convention: str) -
     assert offered["/actuators"].reliability is QosReliability.RELIABLE
 
 
-def test_a_measured_airspeed_is_recorded_and_the_identifier_told_to_read_it(tmp_path: Path) -> None:
+def test_a_measured_airspeed_is_recorded_and_enabled_in_the_parameters(tmp_path: Path) -> None:
     flight = FLIGHT.fly("fast")
     flight = replace(flight, airspeed=np.full(len(flight.t_ns), 20.0))
     measured = measure(flight, Sensors(airspeed_noise=0.3, latency=0.003), 5)
@@ -87,7 +87,7 @@ def test_the_same_flight_gives_the_same_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("channels", ["plain", "elevon", "quadrotor", "pwm"])
 @pytest.mark.parametrize("stamped", [True, False])
-def test_the_parameters_beside_the_bag_are_the_identifiers(
+def test_the_parameters_beside_the_bag_map_channels_to_inputs(
     tmp_path: Path, channels: str, stamped: bool
 ) -> None:
     flight, path = replace(FLIGHT.fly(), channel_set=CHANNEL_SETS[channels]), tmp_path / "bag"
@@ -101,7 +101,7 @@ def test_the_parameters_beside_the_bag_are_the_identifiers(
     assert content.keys() == parameters(measured).keys()
 
 
-def test_nothing_half_written_stays_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_no_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(_: object) -> dict[str, object]:
         raise OSError(28, "No space left on device")
 
@@ -185,7 +185,7 @@ def test_latency_delays_the_log_in_order(flight: Flight) -> None:
     measured = measure(flight, dataclasses.replace(NOISY, latency=0.004))
     wait = (measured.imu_log_ns - measured.true_t_ns) * 1e-9
     assert wait.min() >= 0.002
-    # the order of arrival is kept, which holds back what follows a straggler
+    # arrival keeps the order: a late message delays the next ones
     assert 0.004 <= wait.mean() < 0.02
     assert np.all(np.diff(measured.imu_log_ns) >= 0)
 

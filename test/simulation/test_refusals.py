@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights, sensors and faults that cannot be: each is refused by the name of what is wrong."""
+"""Impossible flights, sensors and faults: each refusal names the wrong value."""
 
 import sys
 from collections.abc import Callable
@@ -82,7 +82,7 @@ REFUSED: list[tuple[str, Callable[[], object]]] = [
 
 
 @pytest.mark.parametrize(("named", "refused"), REFUSED)
-def test_an_impossible_flight_sensor_or_fault_is_named(
+def test_the_error_names_an_impossible_flight_sensor_or_fault(
     named: str, refused: Callable[[], object]
 ) -> None:
     with pytest.raises(SimulationError, match=f"(?s){named}"):
@@ -99,7 +99,7 @@ def test_an_impossible_flight_sensor_or_fault_is_named(
         ("--output /dev/null", "File exists: '/dev/null'"),
     ],
 )
-def test_a_loop_that_cannot_be_flown_is_named(options: str, named: str, capsys: Capture) -> None:
+def test_impossible_options_are_refused_by_name(options: str, named: str, capsys: Capture) -> None:
     assert closed_loop.main(options.split()) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("closed_loop: ") and named in line

@@ -19,16 +19,16 @@ COMMANDS = dict(ROW.findall((BAGS / "README.md").read_text(encoding="utf-8")))
 
 
 def flat(value: Any) -> list[float]:
-    """All numbers of a message, in the order of its fields."""
+    """Return all numbers of a message, in the order of its fields."""
     if is_dataclass(value):
         return [x for field in fields(value) for x in flat(getattr(value, field.name))]
     return [] if isinstance(value, str | list) else np.ravel(value).tolist()
 
 
 def numbers(path: Path) -> dict[str, np.ndarray]:
-    """Log times of all messages, and the numbers of one in seven, by topic.
+    """Return all log times, and the numbers of every seventh message, by topic.
 
-    A flight that differs at all differs from then on.
+    A deviation persists, so a part of the messages suffices.
     """
     with Bag(path) as bag:
         decoders = {topic: bag.decoder(topic) for topic in bag.types}
@@ -44,7 +44,7 @@ def test_every_committed_bag_has_its_command() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_command_makes_the_committed_bag(tmp_path: Path, name: str) -> None:
+def test_the_command_reproduces_the_committed_bag(tmp_path: Path, name: str) -> None:
     arguments = shlex.split(COMMANDS[name])
     if "--jsbsim" in arguments:
         pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
@@ -53,7 +53,7 @@ def test_the_command_makes_the_committed_bag(tmp_path: Path, name: str) -> None:
     made, committed = (numbers(folder / name) for folder in (tmp_path, BAGS))
     assert made.keys() == committed.keys() == {"times", "/imu/data", "/actuators"}
     for topic, values in committed.items():
-        # not to the bit: another processor's sine may differ in the last one
+        # not to the bit: the sine may differ in the last bit on another processor
         np.testing.assert_allclose(made[topic], values, rtol=0.0, atol=1e-6, err_msg=topic)
     for file in ("identifier.yaml", "truth.yaml"):
         assert yaml.safe_load((tmp_path / name / file).read_text()) == yaml.safe_load(
@@ -61,7 +61,7 @@ def test_the_command_makes_the_committed_bag(tmp_path: Path, name: str) -> None:
         )
 
 
-def test_options_reach_the_bag(tmp_path: Path) -> None:
+def test_options_apply_to_the_bag_and_its_parameters(tmp_path: Path) -> None:
     arguments = "--duration 3 --imu-rate 50 --convention frd --unstamped --channels elevon"
     assert main(["--output", str(tmp_path / "bag"), *arguments.split(), "--delay", "0.06"]) == 0
     force = [m.linear_acceleration.z for _, m in decoded(tmp_path / "bag")["/imu/data"]]
@@ -89,7 +89,7 @@ def test_options_reach_the_bag(tmp_path: Path) -> None:
         ("--seed -1", "--seed"),
     ],
 )
-def test_bad_arguments_are_one_line_and_status_2(
+def test_bad_arguments_are_refused_in_one_line_with_status_2(
     tmp_path: Path, capsys: Capture, options: str, named: str
 ) -> None:
     arguments = ["--output", str(tmp_path / "bag"), *options.split()]
