@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Advice: every piece is given when its threshold is passed, and not given when it is not."""
+"""Advice: each piece appears if and only if its threshold is passed."""
 
 import re
 from dataclasses import replace
@@ -48,7 +48,7 @@ def fit(model: Any = 80.0, hold: Any = -20.0, measured_force: Any = 85.0) -> Pre
 
 
 def good() -> Evidence:
-    """A flight that leaves nothing to be desired."""
+    """Return the evidence of a good flight."""
     values = np.where(AUGMENTED.mask, 5.0, 0.0)
     for name in ("pdot/p", "qdot/q", "rdot/r"):
         values[AUGMENTED.index(name)] = -5.0
@@ -108,7 +108,7 @@ def moves(*spread: float) -> dict[str, Any]:
 
 
 CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
-    # advice, evidence that just misses it, evidence that just gives it, its text
+    # advice, evidence just below its threshold, evidence just above, its text
     ("never_flew", {"lost": {AT_REST: GROUNDED_SHARE * JUST_BELOW}},
      {"lost": {AT_REST: 0.5, "not armed": 0.45}},
      "the aircraft hardly flew: 95 % of the time at rest: no rate .*, not armed; take a flight"),
@@ -123,12 +123,12 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      r"nothing was learned in 33 % of the flight: channel … is at its limit \(see 'actuators.up"),
     ("weak_excitation", STILL_RUDDER, WEAK_RUDDER,
      r"not enough rudder excitation: rdot/dr is known to 4\.0 sigma only \(4 needed\)"),
-    ("weak_excitation", STILL_RUDDER | {"answers": np.full(4, 0.3)},  # known all the same
+    ("weak_excitation", STILL_RUDDER | {"answers": np.full(4, 0.3)},  # still known
      WEAK_RUDDER | {"answers": np.array([0.0, 0.3, 0.0, 0.0])},
      r"\(4 needed\), since 30 % of its motion answers disturbances; move the rudder by itself,"),
     ("weak_excitation", STILL_RUDDER, WEAK_RUDDER | {"answers": np.array([0.3, 0.0, 0.3, 0.3])},
      r"\(4 needed\); move the rudder more, and by itself$"),
-    # it moved enough: it is a setting that widens sigma
+    # sufficient excitation: a setting widens sigma
     ("weak_excitation", WEAK_RUDDER | {"scatter": STILL_RUDDER["sigma"]},
      WEAK_RUDDER | {"scatter": WEAK_RUDDER["sigma"]}, "not enough rudder excitation"),
     ("wrong_setup", {"setup": ("", "", "")}, {"setup": ("", "the position of the Imu", "")},
@@ -147,7 +147,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("wrong_delay", {"delay": UNSURE, "delay_in_use": 0.2}, {"delay": SURE, "delay_in_use": 0.2},
      "170 ms too long"),
     ("wrong_delay", {"delay": replace(SURE, delay=-DELAY_OFF * JUST_BELOW), "delay_in_use": 0.0},
-     {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0},  # no delay is below zero
+     {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0},  # delays are not negative
      r"act 42 ms before their stamps \(0\.000 s of delay in use\): correct the stamps, or lower "
      r"'actuators\.time_constant'$"),
     ("wrong_delay", {"delay": UNSURE, "actuator_rate": 10.0},
@@ -155,7 +155,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      "; at 10 Hz they are held 50 ms too long$"),
     ("unknown_delay", {"settings": FINDING, "delay": SURE}, {"settings": FINDING, "delay": UNSURE},
      r"does not show the delay of the inputs \(30 ms, sigma 3 ms; 0\.030 s in use\).* 3-2-1-1"),
-    ("unknown_delay", {"delay": NO_ESTIMATE},  # it is configured
+    ("unknown_delay", {"delay": NO_ESTIMATE},  # configured
      {"settings": FINDING, "delay": NO_ESTIMATE}, r"\(no estimate; 0\.030 s in use\)"),
     ("unknown_delay", {"settings": FINDING, "delay": SURE},
      {"settings": FINDING, "delay": replace(UNSURE, delay=0.219, sigma=0.019), "delay_in_use": 0.0},
@@ -189,15 +189,15 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      {"rate_spread": one_of_three(0.01 / NOISE_SHARE * JUST_BELOW, 0.5)},
      r"gyro noise high for so gentle a flight: 0\.01 rad/s on q, which moved by 0\.033 rad/s"),
     ("noisy_gyro", {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": SLOW_IMU * JUST_BELOW},
-     {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": SLOW_IMU * JUST_ABOVE},  # it may be motion
+     {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": SLOW_IMU * JUST_ABOVE},  # possibly motion
      "gyro noise high: 0.2 rad/s on q"),
     ("slow_streams", {"imu_rate": SLOW_IMU * JUST_ABOVE}, {"imu_rate": SLOW_IMU * JUST_BELOW},
      r"of the Imu come at 49 Hz: 50 Hz are needed \(PX4: SDLOG_PROFILE bit 4, .*; A"),
     ("slow_streams", {"actuator_rate": SLOW_ACTUATORS * JUST_ABOVE},
      {"actuator_rate": SLOW_ACTUATORS * JUST_BELOW},
      "the messages of the actuators come at 24 Hz: 25 Hz"),
-    ("slow_streams", {"actuator_rate": 0.0}, {"actuator_rate": 1.0}, "at 1 Hz"),  # none: no rate
-    ("slow_streams", {}, {"imu_rate": 25.0, "actuator_rate": 10.0},  # the cure is said once
+    ("slow_streams", {"actuator_rate": 0.0}, {"actuator_rate": 1.0}, "at 1 Hz"),  # 0: no rate
+    ("slow_streams", {}, {"imu_rate": 25.0, "actuator_rate": 10.0},  # a single cure for both
      r"of the Imu come at 25 Hz: 50 Hz are needed, those of the actuators come at 10 Hz: 25 Hz"),
     ("many_drops",
      {"streams": {"rates": Refusals(10_000, {"late": round(10_000 * DROPPED_SHARE)})}},
@@ -210,7 +210,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("no_better_than_holding", {"fit": fit(model=[80.0, 20.1, 80.0], hold=20.0)},
      {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0)},
      r"q is predicted no better \(20 %\) than by holding it \(20 %\): look at the delay"),
-    ("no_better_than_holding", {},  # the reason is known
+    ("no_better_than_holding", {},  # the reason has its own advice
      {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0), "imu_rate": SLOW_IMU - 1.0},
      r"q is predicted no better \(20 %\) than by holding it \(20 %\)$"),
     ("collinear_groups", {"collinear": (("qdot/1", "qdot/az"),)},
@@ -220,7 +220,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("name", "missing", "giving", "words"), CASES)
-def test_advice_both_ways(
+def test_advice_appears_above_its_threshold_alone(
     name: str, missing: dict[str, Any], giving: dict[str, Any], words: str
 ) -> None:
     assert name not in {advice.name for advice in advise(replace(E, **missing))}
@@ -229,7 +229,7 @@ def test_advice_both_ways(
     assert re.search(words, texts[0]), texts[0]
 
 
-def test_the_first_cause_hides_what_follows_from_it() -> None:
+def test_a_cause_suppresses_the_advice_on_its_consequences() -> None:
     bad = replace(
         E,
         lost={"not armed": 1.0},
@@ -244,7 +244,7 @@ def test_the_first_cause_hides_what_follows_from_it() -> None:
     assert "no_better_than_holding" in flying
 
 
-def test_slow_messages_come_last_where_the_best_axis_misses_little() -> None:
+def test_slow_messages_come_last_if_the_fit_of_the_best_axis_is_good() -> None:
     weak = replace(E, imu_rate=20.0, **WEAK_RUDDER)
     for missing, order in (
         (JUST_BELOW, ["weak_excitation", "slow_streams"]),
@@ -255,7 +255,7 @@ def test_slow_messages_come_last_where_the_best_axis_misses_little() -> None:
         assert [advice.name for advice in found] == order
 
 
-def test_reasons_that_differ_in_numbers_alone_are_one_and_numbers_of_a_name_stay() -> None:
+def test_reasons_that_differ_in_measured_numbers_alone_are_merged() -> None:
     def lost(*reasons: str, learned: int = 0) -> dict[str, float]:
         paused = [estimate_of(np.zeros(3), adapting=False, reason=reason) for reason in reasons]
         return lost_to([*paused, *[estimate_of(np.zeros(3), reason="why 1")] * learned])
@@ -270,11 +270,11 @@ def test_reasons_that_differ_in_numbers_alone_are_one_and_numbers_of_a_name_stay
         assert lost(reason) == {shown: 1.0}
 
 
-def test_every_advice_is_tested() -> None:
+def test_every_piece_of_advice_has_a_case() -> None:
     assert {case[0] for case in CASES} == {find.__name__ for find in ADVICE}
 
 
-def test_a_good_flight_needs_no_advice_and_a_fixed_coefficient_is_no_weak_excitation() -> None:
+def test_a_good_flight_has_no_advice_with_and_without_fixed_coefficients() -> None:
     assert advise(E) == ()
     fixed = with_entry(with_entry(E.sigma, "rdot/dr", 0.0), "pdot/p", 0.0)
     assert advise(replace(E, sigma=fixed)) == ()
@@ -293,16 +293,16 @@ def test_every_coefficient_has_a_meaning() -> None:
             assert AXIS_WORDS[row] in words
 
 
-# --- what is measured --------------------------------------------------------------------------
+# --- evidence ----------------------------------------------------------------------------------
 
 
 def test_gyro_noise_is_separated_from_motion() -> None:
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 60.0, 1.0 / 200.0)
-    motion = 0.8 * np.sin(2.0 * np.pi * 2.0 * t)  # the fastest of the excitation
+    motion = 0.8 * np.sin(2.0 * np.pi * 2.0 * t)  # highest frequency of the excitation
     noise = np.array([0.0, 0.005, 0.1])
     rates = motion[:, None] + noise * rng.standard_normal((len(t), 3))
-    rates[1000] += 5.0  # one glitch is no noise
+    rates[1000] += 5.0  # one outlier must not count as noise
     found = gyro_noise(rates)
     assert found[0] < 1e-3
     np.testing.assert_allclose(found[1:], noise[1:], rtol=0.05)
@@ -310,12 +310,12 @@ def test_gyro_noise_is_separated_from_motion() -> None:
 
 
 def evidence_of(bag: Path, name: str, changes: dict[str, Any], seconds: float) -> Evidence:
-    """What is measured on the beginning of an example bag with changed parameters."""
+    """Return the evidence of the start of an example bag with changed parameters."""
     run = run_over(excerpt(bag, seconds, name), parameters(name) | changes)
     return measure(run, run.score())
 
 
-def test_what_is_measured_on_a_flight_of_known_truth(tmp_path: Path) -> None:
+def test_evidence_of_a_simulated_flight_has_its_true_rates_noise_and_delay(tmp_path: Path) -> None:
     e = evidence_of(tmp_path / "bag", "multisine", {}, seconds=62.0)
     assert e.duration == pytest.approx(62.0, abs=0.1)
     assert e.imu_rate == pytest.approx(200.0)
@@ -327,8 +327,8 @@ def test_what_is_measured_on_a_flight_of_known_truth(tmp_path: Path) -> None:
     assert [advice.name for advice in advise(e)] == []
 
 
-def test_a_flight_with_a_gap_is_measured_whole(tmp_path: Path) -> None:
-    """The rudder moves in its shorter part only."""
+def test_evidence_covers_both_parts_of_a_flight_with_a_gap(tmp_path: Path) -> None:
+    """The rudder moves only in the shorter part."""
     gap_ns = START_NS + 6 * SECOND_NS
 
     def later(topic: str, log_ns: int, message: Any) -> list[Entry]:
@@ -348,7 +348,7 @@ def test_a_flight_with_a_gap_is_measured_whole(tmp_path: Path) -> None:
     assert e.imu_rate == pytest.approx(200.0)
 
 
-def test_a_delay_too_long_and_a_missing_regressor_are_found(tmp_path: Path) -> None:
+def test_an_excessive_delay_and_missing_regressors_are_detected(tmp_path: Path) -> None:
     e = evidence_of(tmp_path / "late", "multisine", {"actuators.delay": 0.08}, seconds=30.0)
     assert e.delay_in_use - e.delay.delay == pytest.approx(0.08, abs=0.01)
     assert "wrong_delay" in {advice.name for advice in advise(e)}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a controller may rely on: the message as a model, and what is refused."""
+"""The client for controllers: messages as a model, inversion, and refusals."""
 
 import math
 from typing import Any
@@ -42,7 +42,7 @@ def message(
     structure: Structure = AUGMENTED, *, usable: bool = True, t_ns: int = START,
     sigma: dict[str, float] | None = None, **values: float
 ) -> Any:  # fmt: skip
-    """Return a message of the identifier's own making, as attributes; `pdot_da` is `pdot/da`."""
+    """Return a message of the identifier, as attributes; `pdot_da` is `pdot/da`."""
     entries = AIRCRAFT | {name.replace("_", "/"): value for name, value in values.items()}
     spread = 0.01 * structure.mask
     for name, value in (sigma or {}).items():
@@ -79,7 +79,7 @@ def test_a_message_becomes_named_values() -> None:
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_every_structure_is_recognised_by_its_names(name: str) -> None:
+def test_every_structure_is_recognised_by_its_coefficient_names(name: str) -> None:
     structure = STRUCTURES[name]
     entries = {name: float(k) for k, name in enumerate(structure.names)}
     read = Coefficients.from_message(message(structure, **entries))
@@ -89,7 +89,7 @@ def test_every_structure_is_recognised_by_its_names(name: str) -> None:
 
 
 def put(field: str, index: int | str, value: Any) -> Any:
-    """Give an entry of a message's field, by its index or name, a value."""
+    """Return a function that sets an entry of a message's field, by index or name."""
 
     def spoil(wrong: Any) -> None:
         at = index if isinstance(index, int) else wrong.name.index(index)
@@ -107,13 +107,13 @@ def put(field: str, index: int | str, value: Any) -> Any:
         (AUGMENTED, lambda m: [f.pop() for f in (m.name, m.position, m.effort)], "usable/rdot"),
         (AUGMENTED, put("position", 3, math.nan), "not finite"),
         (AUGMENTED, put("effort", 3, -1.0), "negative"),
-        # states that nobody flies at
+        # impossible states
         (FLIGHT, put("position", "state/airspeed", math.nan), "state"),
         (FLIGHT, put("position", "state/airspeed", -20.0), "state"),
         (FLIGHT, put("position", "state/roll", math.inf), "state"),
     ],
 )
-def test_a_message_that_holds_no_coefficients_is_refused(
+def test_an_invalid_message_is_refused_and_the_last_one_stays(
     structure: Structure, spoil: Any, reason: str
 ) -> None:
     wrong = message(structure)
@@ -122,10 +122,10 @@ def test_a_message_that_holds_no_coefficients_is_refused(
     source.take(message(t_ns=START - SECOND // 20))
     with pytest.raises(MessageError, match=reason):
         source.take(wrong)
-    assert source.model(START).t_ns == START - SECOND // 20  # what was there stays
+    assert source.model(START).t_ns == START - SECOND // 20  # the earlier message stays
 
 
-def test_a_coefficient_is_known_by_its_own_sigma_or_by_being_surely_small() -> None:
+def test_a_coefficient_is_known_by_t_ratio_or_if_surely_small() -> None:
     known = Coefficients.from_message(
         message(sigma={"qdot/de": 9.0, "rdot/da": 0.2, "pdot/pq": 0.5, "pdot/dr": 2.0})
     ).known
@@ -147,7 +147,7 @@ def test_prediction_agrees_with_a_fine_integration() -> None:
     np.testing.assert_allclose(flying.predict(x, u, 0.5, force), fine.y[:, -1], atol=1e-6)
 
 
-def test_without_forces_their_coefficients_and_the_constant_are_left_out() -> None:
+def test_without_forces_the_force_terms_and_the_constant_are_omitted() -> None:
     x, u = np.array([0.1, 0.2, 0.0]), np.zeros(4)
     qdot = model().acceleration(x, u)[1]
     assert qdot == pytest.approx(-5.5 * 0.2)
@@ -169,7 +169,7 @@ CONTROL = np.array([0.05, -0.1, 0.08, 0.2])
 def test_acceleration_with_flow_angles_is_that_of_the_rows() -> None:
     expected = flight_equations(flying().values, np.array([*STATE, 0.0, 0.0]), CONTROL, 18.0)[:3]
     np.testing.assert_allclose(flying().acceleration(STATE, CONTROL), expected, atol=1e-12)
-    # left out, the flow angles are those of the message
+    # by default the flow angles are those of the message
     at_message = np.array([*STATE[:3], FLOW.beta, FLOW.alpha])
     np.testing.assert_array_equal(
         flying().acceleration(STATE[:3], CONTROL), flying().acceleration(at_message, CONTROL)
@@ -198,7 +198,7 @@ def test_linearisation_with_flow_angles_is_the_derivative() -> None:
     np.testing.assert_allclose(found, np.delete(expected, 6, axis=1), atol=1e-6)
 
 
-def test_flow_angles_need_the_message_that_came_with_them(tmp_path: Any) -> None:
+def test_a_model_from_a_file_needs_flow_angles_for_prediction(tmp_path: Any) -> None:
     path = tmp_path / "coefficients.yaml"
     values = flying().values
     save_coefficients(CoefficientSet("flight_dynamics", values, 0.01 * np.abs(values)), path)
@@ -226,7 +226,7 @@ ACCELERATIONS = st.tuples(*[st.floats(-5.0, 5.0)] * 3)
 
 @pytest.mark.parametrize("structure", [AUGMENTED, FLIGHT], ids=lambda s: s.name)
 @given(wanted=ACCELERATIONS, x=st.tuples(*[st.floats(-1.0, 1.0)] * 3))
-def test_inversion_gives_what_was_wanted_or_names_a_limit(
+def test_inversion_reaches_the_acceleration_or_names_the_limited_inputs(
     structure: Structure, wanted: tuple[float, ...], x: tuple[float, ...]
 ) -> None:
     flying = model(structure)
@@ -239,8 +239,8 @@ def test_inversion_gives_what_was_wanted_or_names_a_limit(
         np.testing.assert_allclose(got, wanted, atol=1e-9)
 
 
-def test_the_least_inputs_are_taken_and_others_make_up_for_one_at_its_limit() -> None:
-    # Throttle rolls as well as aileron does: half each.
+def test_inversion_has_least_inputs_and_compensates_for_a_limited_one() -> None:
+    # Throttle and aileron have equal roll effect: half each.
     shared = model(pdot_dth=29.5, pdot_dr=0.0, rdot_da=0.0)
     wanted, inputs = np.array([5.9, 0.0, 0.0]), ("de", "dr", "da", "dth")
     u = shared.invert(wanted, np.zeros(3), inputs=inputs).u
@@ -255,7 +255,7 @@ def test_the_least_inputs_are_taken_and_others_make_up_for_one_at_its_limit() ->
     np.testing.assert_allclose(short.u, [0.0, 0.0, 0.05, 0.02], atol=1e-12)
 
 
-def test_the_force_of_an_input_belongs_to_its_control_derivative() -> None:
+def test_the_force_of_an_input_adds_to_its_control_derivative() -> None:
     forces = np.zeros((2, 4))
     forces[0, 1] = 5.5  # ay of the rudder, m/s^2 per rad
     wanted, inputs = np.array([0.0, 0.0, 1.0]), ("de", "dr", "da")
@@ -264,7 +264,7 @@ def test_the_force_of_an_input_belongs_to_its_control_derivative() -> None:
     assert u[1] == pytest.approx(1.0 / (-2.4 - 0.35 * 5.5))
 
 
-def test_what_cannot_be_inverted_is_refused_by_the_axis_or_the_input() -> None:
+def test_inversion_is_refused_by_axis_or_input_without_known_effect() -> None:
     with pytest.raises(Refusal, match=r"nothing moves rdot by itself"):
         model(rdot_dr=0.001, rdot_da=0.0).invert(np.ones(3), np.zeros(3))
     unknown = model(sigma={"rdot/dr": 5.0, "pdot/dr": 50.0})
@@ -285,7 +285,7 @@ def da(source: CoefficientSource, t_ns: int = START) -> tuple[str, float]:
     return chosen.source, float(chosen.values[AUGMENTED.index("pdot/da")])
 
 
-def test_nothing_is_refused_silently() -> None:
+def test_absent_unusable_and_old_coefficients_are_refused_with_a_reason() -> None:
     source = CoefficientSource(Fallback.REFUSE, nominal())
     with pytest.raises(Refusal, match="no coefficients yet"):
         source.model(START)
@@ -302,10 +302,10 @@ def test_nothing_is_refused_silently() -> None:
     ("fallback", "kept"),
     [(Fallback.LAST_GOOD, ("last good", 29.5)), (Fallback.NOMINAL, ("nominal", 25.0))],
 )
-def test_what_is_used_where_there_is_nothing_good(
+def test_the_fallback_replaces_unusable_coefficients(
     fallback: Fallback, kept: tuple[str, float]
 ) -> None:
-    """The last good set is the nominal one until something was good."""
+    """The last good set is the nominal one until a message is usable."""
     source = CoefficientSource(fallback, nominal(pdot_da=25.0))
     assert da(source) == ("nominal", 25.0)
     source.take(message(usable=False))
@@ -319,7 +319,7 @@ def test_what_is_used_where_there_is_nothing_good(
         CoefficientSource(Fallback.NOMINAL)
 
 
-def test_a_coefficient_that_is_not_known_is_never_acted_on() -> None:
+def test_an_unknown_coefficient_is_zero_or_replaced_by_the_nominal() -> None:
     unknown = {"pdot/da": 20.0, "qdot/pr": 5.0}
     for fallback in Fallback:
         source = CoefficientSource(fallback, nominal(pdot_da=25.0))
@@ -330,18 +330,18 @@ def test_a_coefficient_that_is_not_known_is_never_acted_on() -> None:
         assert ("pdot/da" in chosen.replaced) != refused
 
 
-def test_last_good_is_kept_for_each_coefficient() -> None:
+def test_the_last_known_value_is_kept_for_each_coefficient() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD)
     source.take(message())
     assert da(source) == ("identified", 29.5)
-    for k in range(1, 4):  # it stays known although its own sigma never comes back
+    for k in range(1, 4):  # the value stays in use while its sigma remains large
         lost = message(sigma={"pdot/da": 50.0}, t_ns=START + k, qdot_de=-20.0 - k)
         source.take(lost)
         assert da(source, START + k) == ("identified", 29.5)
         assert source.model(START + k).values[AUGMENTED.index("qdot/de")] == -20.0 - k
 
 
-def test_without_the_verdict_every_sigma_and_the_age_still_count() -> None:
+def test_sigma_and_age_apply_without_the_verdict() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD, nominal(pdot_da=25.0), use_verdict=False)
     source.take(message(usable=False, pdot_da=15.0))
     assert da(source) == ("identified", 15.0)
@@ -350,7 +350,7 @@ def test_without_the_verdict_every_sigma_and_the_age_still_count() -> None:
     assert da(source, START + 2 * SECOND) == ("last good", 15.0)
 
 
-def test_a_delay_gives_what_was_old_enough() -> None:
+def test_a_source_with_delay_returns_only_older_coefficients() -> None:
     source = CoefficientSource(Fallback.REFUSE, delay=0.3)
     for k in range(10):
         source.take(message(t_ns=START + k * SECOND // 20))
@@ -358,7 +358,7 @@ def test_a_delay_gives_what_was_old_enough() -> None:
     assert source.refusal(START + 290_000_000) == "there are no coefficients yet"
 
 
-# --- what is to be added -----------------------------------------------------------------------
+# --- excitation --------------------------------------------------------------------------------
 
 MS = 1_000_000
 NAMES = list(INPUTS)
@@ -369,7 +369,7 @@ def excitation() -> Excitation:
     return Excitation(limit=[0.1, 0.1, 0.1, 0.0])
 
 
-def test_a_value_counts_from_its_stamp_until_the_next_or_the_timeout(
+def test_an_excitation_holds_from_its_stamp_until_the_next_or_timeout(
     excitation: Excitation,
 ) -> None:
     assert not excitation.at(10**9).any(), "there is no excitation yet"
@@ -382,7 +382,7 @@ def test_a_value_counts_from_its_stamp_until_the_next_or_the_timeout(
     assert not excitation.at(last + 1).any()
 
 
-def test_an_abort_cancels_what_was_scheduled(excitation: Excitation) -> None:
+def test_an_abort_cancels_the_scheduled_excitation(excitation: Excitation) -> None:
     for k in range(5):
         excitation.add((100 + 50 * k) * MS, NAMES, [0.05] * 4)
     excitation.add(170 * MS, NAMES, [0.0] * 4)
@@ -390,7 +390,7 @@ def test_an_abort_cancels_what_was_scheduled(excitation: Excitation) -> None:
     assert not any(excitation.at(t * MS).any() for t in range(170, 600))
 
 
-def test_it_never_adds_more_than_its_limit_and_nothing_to_inputs_that_are_not_named(
+def test_the_excitation_is_limited_and_zero_on_inputs_without_a_name(
     excitation: Excitation,
 ) -> None:
     excitation.add(0, NAMES, [5.0, -5.0, 0.05, 5.0])
@@ -399,7 +399,7 @@ def test_it_never_adds_more_than_its_limit_and_nothing_to_inputs_that_are_not_na
     assert excitation.at(1).tolist() == [0.03, 0.0, 0.02, 0.0]
 
 
-def test_a_wrong_message_excites_nothing(excitation: Excitation) -> None:
+def test_a_wrong_message_sets_the_excitation_to_zero(excitation: Excitation) -> None:
     for k, (names, values) in enumerate(
         ((["de", "flap"], [0.05, 0.05]), (["de"], [math.nan]), (["de"], [math.inf]),
          (["de", "da"], [0.05]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The examples run, each on a linear aircraft: no DDS traffic, the nodes' own callbacks."""
+"""The examples run on a linear aircraft, by direct calls of the nodes' callbacks."""
 
 import importlib.util
 import re
@@ -51,7 +51,7 @@ def ros(tmp_path: Path) -> Iterator[None]:
 
 
 class Flying:
-    """A node in the place of a controller; it publishes here."""
+    """Stand-in for a controller's node; collects its publications."""
 
     def __init__(self, node: Any) -> None:
         self.node = node
@@ -80,14 +80,14 @@ def sample(t_ns: int, x: np.ndarray) -> Imu:
     [("indi", "Indi", 0.01), ("inversion", "Inversion", 0.01), ("lqr", "Lqr", 0.1)],
 )
 def test_each_controller_follows_a_reference(ros: None, name: str, node: str, error: float) -> None:
-    """A regulator has no integral action: it comes near."""
+    """A regulator without integral action has a steady-state error."""
     flying = Flying(getattr(load(name), node)())
-    flying.node.source.add(coefficients())  # with the flow angles
+    flying.node.source.add(coefficients())  # includes the flow angles
     np.testing.assert_allclose(flown(flying, reference=REFERENCE)[-1], REFERENCE, atol=error)
     flying.node.destroy_node()
 
 
-def test_the_gain_is_the_riccati_equations() -> None:
+def test_the_gain_solves_the_riccati_equation() -> None:
     linalg = pytest.importorskip("scipy.linalg")
     lqr = load("lqr")
     a = np.array([[-6.4, 0.0, 1.4], [0.0, -5.5, 0.0], [-0.3, 0.0, -0.5]])
@@ -121,7 +121,7 @@ def test_the_monitor_warns_of_a_weak_aileron_alone(
     node.destroy_node()
 
 
-def test_the_prediction_from_a_message_is_that_of_the_client() -> None:
+def test_the_prediction_from_a_message_equals_that_of_the_client() -> None:
     flight = STRUCTURES["flight_dynamics"]
     rng = np.random.default_rng(3)
     a = first_values(flight) + flight.mask * rng.normal(0.0, 2.0, flight.mask.shape)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fleets: the table of flights, and what many flights say together."""
+"""Fleets: the table of flights, and the pooled estimates of many flights."""
 
 import math
 import re
@@ -30,13 +30,13 @@ from uav_ident_ros.offline.fleet import (
 NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
 
 
-# --- what many flights say ---------------------------------------------------------------------
+# --- pooled estimates --------------------------------------------------------------------------
 
 
 def synthetic(
     seed: int, loss: float = 0.0, flights: int = 60, scatter: float = 0.02, sigma: float = 0.02
 ) -> list[FlightRow]:
-    """Flights of one aircraft whose rudder loses the share `loss` per flight from the 30th on."""
+    """Return flights of an aircraft whose rudder loses a share `loss` per flight from the 30th."""
     rng = np.random.default_rng(seed)
     rows = []
     for k in range(1, flights + 1):
@@ -53,7 +53,7 @@ def synthetic(
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_only_a_rudder_that_weakens_is_named_and_within_eight_flights(seed: int) -> None:
+def test_only_the_weakening_rudder_is_named_within_eight_flights(seed: int) -> None:
     (aircraft,) = fleet_of(synthetic(seed, loss=0.02))
     first = aircraft.findings[0]
     assert first.coefficient == "rdot/dr"
@@ -65,21 +65,21 @@ def test_only_a_rudder_that_weakens_is_named_and_within_eight_flights(seed: int)
     assert unchanged.findings == ()
 
 
-def test_the_pooled_sigma_covers_the_truth() -> None:
+def test_the_pooled_sigmas_cover_68_percent_of_the_true_values() -> None:
     inside, ahead = [], []
     for seed in range(40):
         (aircraft,) = fleet_of(synthetic(200 + seed, flights=20))
         for pooled in aircraft.pooled.values():
             inside.append(abs(pooled.value - 10.0) <= pooled.sigma)
-            # the next flight, truly
+            # true value of the next flight
             true = 10.0 + 0.2 * np.random.default_rng([seed, len(inside)]).standard_normal()
             ahead.append(abs(true - pooled.value) <= pooled.next_sigma)
-    # one sigma holds 68 %; 240 draws know a share to three points
+    # one sigma covers 68 %; 240 draws give a share to three points
     assert statistics.fmean(inside) == pytest.approx(0.68, abs=0.09)
     assert statistics.fmean(ahead) == pytest.approx(0.68, abs=0.09)
 
 
-def test_pooling_is_that_of_the_definition() -> None:
+def test_pooling_follows_dersimonian_and_laird() -> None:
     values, sigmas = np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.5, 1.0])
     alike = pool(np.array([1.0, 1.1, 0.9]), sigmas)
     assert alike.scatter == 0.0
@@ -100,7 +100,7 @@ def test_pooling_is_that_of_the_definition() -> None:
     ("which", "off", "named", "lasting"),
     [(slice(25, 26), 6.0, "f25", False), (slice(25, None), 3.0, "f26", True)],
 )
-def test_one_flight_that_stands_out_is_no_change_and_a_jump_is_one(
+def test_an_outlying_flight_is_no_lasting_change_and_a_jump_is_one(
     which: slice, off: float, named: str, lasting: bool
 ) -> None:
     values = 10.0 + 0.2 * np.random.default_rng(6).standard_normal(40)
@@ -111,15 +111,15 @@ def test_one_flight_that_stands_out_is_no_change_and_a_jump_is_one(
     assert found.now == pytest.approx(values[which].mean(), abs=0.3)
 
 
-def test_the_limit_is_that_of_a_false_alarm_in_100_000_looks() -> None:
+def test_the_limit_gives_one_false_alarm_in_100_000_flights() -> None:
     between = math.sqrt(2.0 * math.pi) * math.exp(LIMIT**2 / 2.0) / (0.735 * LIMIT)
     assert between == pytest.approx(100_000.0, rel=1e-3)
-    # no flight is judged by fewer than the baseline
+    # no flight is tested before the baseline is complete
     jump = np.array([10.0, *[100.0] * (BASELINE - 1)])
     assert changes("x", ["f"] * BASELINE, jump, np.ones(BASELINE)) == []
 
 
-def test_student_deviates_are_as_rare_as_normal_ones() -> None:
+def test_student_deviates_convert_to_normal_ones_of_equal_probability() -> None:
     from scipy import stats
 
     for freedom in (11, 30):
@@ -129,7 +129,7 @@ def test_student_deviates_are_as_rare_as_normal_ones() -> None:
     assert standard(-3.0, 11) == -standard(3.0, 11)
 
 
-def test_aircraft_and_structures_are_kept_apart() -> None:
+def test_aircraft_and_structures_are_pooled_separately() -> None:
     rows = [replace(r, flight=r.flight.replace("01", "99")) for r in synthetic(1, flights=14)]
     other = [replace(row, aircraft="b", structure="augmented") for row in synthetic(2, flights=14)]
     mixed = [replace(row, aircraft="b") for row in synthetic(3, flights=14)]
@@ -139,7 +139,7 @@ def test_aircraft_and_structures_are_kept_apart() -> None:
     assert [(a.name, a.structure, len(a.flights)) for a in fleet] == [
         ("aircraft", "baseline", 14), ("b", "augmented", 14), ("b", "baseline", 14)
     ]  # fmt: skip
-    assert fleet[0].flights[0] == "flight_99"  # by their times, not by their names
+    assert fleet[0].flights[0] == "flight_99"  # ordered by time, not by name
     assert fleet[1].unusable == (("broken", "no result: no bag"),)
     (alone,) = fleet_of([failed])
     assert alone.pooled == {}
@@ -157,7 +157,7 @@ def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Captur
     structure = STRUCTURES["baseline"]
     assert pooled.values[structure.index("pdot/p")] == pytest.approx(10.0, abs=0.2)
     assert 0.1 < pooled.sigma[structure.index("pdot/p")] < 0.4  # scatter of 0.2 and more
-    assert np.isinf(pooled.sigma[structure.index("pdot/pq")])  # no flight knows it
+    assert np.isinf(pooled.sigma[structure.index("pdot/pq")])  # unknown in every flight
 
     write_flights(tmp_path, synthetic(0))
     assert fleet_command.main([str(tmp_path / CSV_FILE), "--output", str(tmp_path / "x")]) == 0
@@ -165,7 +165,7 @@ def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Captur
 
 
 @pytest.mark.parametrize("content", [None, "", "a,b\n1,2\n", "aircraft\nx\n"])
-def test_what_is_no_table_is_one_line(tmp_path: Path, capsys: Capture, content: str | None) -> None:
+def test_invalid_table_is_refused(tmp_path: Path, capsys: Capture, content: str | None) -> None:
     path = tmp_path / "flights.csv"
     if content is not None:
         path.write_text(content)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The monitor's view of what it has received: size, signs, words, verdict."""
+"""The monitor's view of the received messages: size, symbols, texts, verdict."""
 
 import io
 import math
@@ -34,7 +34,7 @@ STATUS = {
 
 
 class Watch:
-    """A clock that is set by hand."""
+    """A clock set by the test."""
 
     now = 100.0
 
@@ -45,7 +45,7 @@ class Watch:
 def published(
     t_ns: int, structure: str, values: dict[str, float], sigma: float = 0.5
 ) -> Coefficients:
-    """What a controller would read of a message with some entries; the others are zero."""
+    """Return a controller's view of a message with some entries; the others are zero."""
     names = entry_names(STRUCTURES[structure])
     stamp = SimpleNamespace(sec=t_ns // SECOND_NS, nanosec=t_ns % SECOND_NS)
     position, effort = [values.get(name, 0.0) for name in names], [sigma] * len(names)
@@ -59,7 +59,7 @@ def published(
 def received(
     structure: str = "augmented", *, usable: bool = True, scale: float = 1.0
 ) -> tuple[WatchedNode, Watch]:
-    """A node of which two ticks and one status were received."""
+    """Return a watched node after two ticks and one status."""
     watch = Watch()
     result = WatchedNode("/drone1/identifier", watch)
     names = entry_names(STRUCTURES[structure])
@@ -73,7 +73,7 @@ def received(
 
 
 def printed(width: int, encoding: str = "utf-8") -> Console:
-    """A console of a width that keeps what is printed on it."""
+    """Return a console of a width that records its output."""
     file = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
     return Console(file=file, width=width, record=True, force_terminal=False)
 
@@ -86,9 +86,9 @@ def text(result: WatchedNode, width: int = 80, encoding: str = "utf-8") -> str:
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 @pytest.mark.parametrize("scale", [1.0, 1e-9, 1e9, 1e300])
-def test_everything_fits_on_80_columns_and_24_lines(structure: str, scale: float) -> None:
+def test_the_view_fits_on_80_columns_and_24_lines(structure: str, scale: float) -> None:
     result, _ = received(structure, scale=scale)
-    if "beta" in STRUCTURES[structure].regressors:  # force rows take the place of more inputs
+    if "beta" in STRUCTURES[structure].regressors:  # force rows replace the view of further inputs
         left_out = ("airspeed", "armed", "rates: dropped")
         few = {k: v for k, v in STATUS.items() if not k.startswith(left_out)}
         result.diagnosed("converged", few | {"rates: dropped": "0", "structure": structure})
@@ -98,7 +98,7 @@ def test_everything_fits_on_80_columns_and_24_lines(structure: str, scale: float
 
 
 @pytest.mark.parametrize("width", [20, 40, 60, 120, 200])
-def test_other_widths_are_kept_and_nothing_is_lost(width: int) -> None:
+def test_other_widths_are_respected_with_all_regressors(width: int) -> None:
     result, _ = received()
     shown = text(result, width)
     assert max(map(len, shown.splitlines())) <= width
@@ -108,7 +108,7 @@ def test_other_widths_are_kept_and_nothing_is_lost(width: int) -> None:
             assert re.search(rf"(^| ){name} ", shown, re.MULTILINE)
 
 
-def test_every_number_is_where_it_belongs() -> None:
+def test_every_number_has_its_place_and_label() -> None:
     shown = text(received()[0])
     head = shown.splitlines()[0]
     assert head == "/drone1/identifier  learning  usable  tick 1.05 s"
@@ -145,7 +145,7 @@ RUNNING = {
         ({"excite: last run": "none yet"}, ""),
     ],
 )  # fmt: skip
-def test_a_run_of_excitation_is_told_while_it_goes_and_when_it_is_over(
+def test_a_run_of_excitation_is_shown_during_and_after_it(
     status: dict[str, str], line: str
 ) -> None:
     result, _ = received()
@@ -175,7 +175,7 @@ def test_good_and_bad_differ_in_colour() -> None:
     assert found["not usable"] == "bold yellow"
 
 
-def test_a_verdict_of_the_past_is_not_usable() -> None:
+def test_an_old_verdict_is_not_usable() -> None:
     result, watch = received()
     assert result.usable
     watch.now += 2.0
@@ -187,13 +187,13 @@ def test_a_verdict_of_the_past_is_not_usable() -> None:
     assert not result.usable
 
     latched = WatchedNode("/identifier")
-    for _ in range(2):  # the same tick twice is still one tick
+    for _ in range(2):  # a repeated tick counts once
         latched.take(published(SECOND_NS, "baseline", {USABLE_NAME: 1.0}))
     latched.diagnosed("converged", {})
     assert not latched.usable
 
 
-def test_the_view_before_the_first_message_and_of_two_nodes_of_one_name() -> None:
+def test_the_view_shows_missing_messages_and_two_nodes_of_one_name() -> None:
     result = WatchedNode("/identifier")
     result.publishers = 2
     shown = text(result)
@@ -212,16 +212,16 @@ def test_a_trend_is_more_than_a_standard_deviation() -> None:
 
 
 def fed(*ticks: tuple[float, float]) -> WatchedNode:
-    """A node whose `pdot/p` took these values at these times, s."""
+    """Return a watched node whose `pdot/p` had these values at these times, s."""
     result = WatchedNode("/identifier")
     for t, value in ticks:
         result.take(published(round(t * 1e9), "baseline", {"pdot/p": value}, 0.01))
     return result
 
 
-def test_a_trend_looks_back_ten_seconds_and_no_further_and_anew_when_time_goes_back() -> None:
+def test_a_trend_covers_ten_seconds_and_restarts_on_a_backward_time_jump() -> None:
     def damping(*ticks: tuple[float, float]) -> Coefficient:
-        """The coefficient `pdot/p`, as it is shown."""
+        """Return the coefficient `pdot/p` of the view."""
         (found,) = [c for c in fed(*ticks).rows()["pdot"] if c.name == "pdot/p"]
         return found
 
@@ -234,7 +234,7 @@ def test_a_trend_looks_back_ten_seconds_and_no_further_and_anew_when_time_goes_b
     assert damping((50.0, 9.0), (51.0, 9.0), (1.0, 0.0)).past == (0.0, 0.0)
 
 
-def test_past_values_are_drawn_where_there_is_room_in_signs_that_the_terminal_has() -> None:
+def test_past_values_are_drawn_if_width_and_encoding_permit() -> None:
     result = fed(*((1.0 + 0.5 * k, 0.1 * k) for k in range(20)))
     wide = text(result, 120)
     assert "▁" in wide and "█" in wide and "↗" in wide
@@ -244,7 +244,7 @@ def test_past_values_are_drawn_where_there_is_room_in_signs_that_the_terminal_ha
     plain.encode("ascii")
 
 
-def test_modes_are_those_of_the_published_coefficients() -> None:
+def test_modes_follow_from_the_published_coefficients() -> None:
     structure = STRUCTURES["flight_dynamics"]
     known = {
         "pdot/p": -9.0, "pdot/beta": -25.0, "qdot/q": -6.0, "qdot/alpha": -40.0, "rdot/r": -1.8,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The score of record, held against an integration and the formula written out."""
+"""The score of record, compared with an integration and the explicit formula."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NO_ARM = np.zeros(3)
 
 @dataclass(frozen=True)
 class Record(prediction.Flown):
-    """A flight as measured, and what was published in it."""
+    """Measurements of a flight, and the published coefficients."""
 
     ticks_ns: NDArray[np.int64]
     coefficients: Array
@@ -41,36 +41,36 @@ class Record(prediction.Flown):
         return prediction.Published(self.ticks_ns, self.coefficients, self.structure, self.flow)
 
     def at_ticks(self, which) -> Record:
-        """What was published at some of the ticks alone."""
+        """Return the record with some of the ticks only."""
         flow = None if self.flow is None else self.flow[which]
         ticks_ns, coefficients = self.ticks_ns[which], self.coefficients[which]
         return replace(self, ticks_ns=ticks_ns, coefficients=coefficients, flow=flow)
 
     def samples(self, which: NDArray[np.bool_]) -> Record:
-        """What was measured at some of the gyro samples alone."""
+        """Return the record with some of the gyro samples only."""
         measured = (self.t_ns[which], self.rates[which], self.force[which])
         return replace(self, **dict(zip(("t_ns", "rates", "force"), measured, strict=True)))
 
     def everything(self) -> prediction.PredictionFit:
-        """The fit over all windows."""
+        """Return the fit over all windows."""
         errors = prediction.window_errors(self, self.published)
         return prediction.fit(errors, np.ones(len(errors.t_ns), dtype=bool))
 
 
 def force_of(t: Array) -> Array:
-    """Some smooth ay, az at the centre of gravity."""
+    """Return a smooth ay, az at the centre of gravity."""
     return np.stack([np.sin(2.1 * t) + 0.3, 9.8 + 1.5 * np.cos(1.7 * t)], axis=-1)
 
 
 def motion(structure: Structure, a: Array, state: Array, u: Array, force: Array) -> Array:
-    """Rates of change of p, q, r; with flow angles of beta, alpha, roll and pitch too."""
+    """Return the derivatives of p, q, r; with flow angles also of beta, alpha, roll and pitch."""
     if structure is not FLIGHT:
         return a @ structure.regressor(state, u, force)
     return flight_equations(a, state, u, AIRSPEED)
 
 
 def line(t: Array, values: Array, at: float) -> Array:
-    """The straight line between samples at a time; the first and last value hold beyond."""
+    """Interpolate linearly between samples; hold the first and last value beyond."""
     k = min(max(int(t.searchsorted(at)), 1), len(t) - 1)
     share = (at - t[k - 1]) / (t[k] - t[k - 1])
     return values[k - 1] + min(max(share, 0.0), 1.0) * (values[k] - values[k - 1])
@@ -79,7 +79,7 @@ def line(t: Array, values: Array, at: float) -> Array:
 def path(
     derivative: Callable[[float, Array], Array], begin: float, t: Array, state: Array
 ) -> Array:
-    """The states at some times after the beginning."""
+    """Return the states at some times after the start."""
     return solve_ivp(derivative, (begin, t[-1]), state, t_eval=t, **ACCURACY).y.T
 
 
@@ -92,7 +92,7 @@ def fly(
     lever_arm: Array = NO_ARM,
     jitter: float = 0.0,
 ) -> Record:
-    """Integrate a plant; servo lag and delay are written down independently."""
+    """Integrate a plant with an independent form of servo lag and delay."""
     rng = np.random.default_rng(0)
     a = matrix(structure, AIRCRAFT | {"qdot/dth": 0.3, "pdot/dth": 0.2, "rdot/dth": -0.1})
     tu = np.arange(-0.2, duration + 0.2, 0.05)
@@ -138,7 +138,7 @@ def fly(
 
 
 def flow_states_at(ticks_ns: NDArray[np.int64], t_ns: NDArray[np.int64], flow: Array) -> Array:
-    """Flow angles and attitude at the ticks, from beta, alpha, roll and pitch at the samples."""
+    """Return flow angles and attitude at the ticks, from those at the samples."""
     beta, alpha, roll, pitch = (
         np.interp(ticks_ns - START_NS, t_ns - START_NS, part) for part in flow.T
     )
@@ -158,12 +158,12 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_true_coefficients_predict_everything(case: str) -> None:
+def test_true_coefficients_have_a_fit_near_100_percent(case: str) -> None:
     record = fly(duration=4.0, **CASES[case])
     result = record.everything()
     assert result.windows >= 55
-    # Where a straight line between samples has to stand for the initial rates or the specific
-    # force, the measurement itself is not quite the truth.
+    # Linear interpolation of the initial rates or the specific force between samples has an error,
+    # so those cases have a lower bound.
     exact = record.structure is BASELINE and not case.startswith(("irregular", "slow"))
     assert (result.free[:2] > (99.995 if exact else 99.0)).all()
     assert (result.free[:2] <= 100.0).all()
@@ -171,12 +171,12 @@ def test_true_coefficients_predict_everything(case: str) -> None:
     np.testing.assert_array_equal(
         (result.model, result.hold), (result.free[0], result.free_hold[0])
     )
-    # a horizon that no window covers has no score
+    # a horizon longer than every window has no score
     assert np.isnan((result.free[2], result.free_hold[2])).all()
 
 
 @pytest.mark.parametrize("structure", [AUGMENTED, FLIGHT])
-def test_lever_arm_is_accounted_for(structure: Structure) -> None:
+def test_measured_force_fit_is_corrected_for_the_lever_arm(structure: Structure) -> None:
     arm = np.array([0.3, -0.05, 0.1])
     record = fly(structure, duration=4.0, rate=200.0, lever_arm=arm)
     assert (record.everything().measured_force > 99.8).all()
@@ -184,7 +184,7 @@ def test_lever_arm_is_accounted_for(structure: Structure) -> None:
 
 
 def inside(record: Record, tick: int, horizon: float = 1.0) -> NDArray[np.bool_]:
-    """Flags of the gyro samples in a window."""
+    """Return flags of the gyro samples in a window."""
     start = record.ticks_ns[tick]
     return (record.t_ns > start) & (record.t_ns <= start + round(horizon * 1e9))
 
@@ -192,7 +192,7 @@ def inside(record: Record, tick: int, horizon: float = 1.0) -> NDArray[np.bool_]
 def predicted(
     record: Record, tick: int, *, free: bool, horizon: float = 1.0
 ) -> tuple[Array, Array]:
-    """Prediction and measurement at the gyro samples of a window."""
+    """Return prediction and measurement at the gyro samples of a window."""
     t = (record.t_ns - START_NS) * 1e-9
     t0 = (record.ticks_ns[tick] - START_NS) * 1e-9
     window = inside(record, tick, horizon)
@@ -221,7 +221,7 @@ def predicted(
 
 
 def percent(model: list[Array], measured: list[Array]) -> Array:
-    """Fit by the formula as it is written in the contract."""
+    """Return the fit by the formula of the contract."""
     m, x = np.concatenate(model), np.concatenate(measured)
     distance = np.linalg.norm(m - x, axis=0)
     return 100.0 * (1.0 - distance / np.linalg.norm(x - x.mean(axis=0), axis=0))
@@ -229,7 +229,7 @@ def percent(model: list[Array], measured: list[Array]) -> Array:
 
 @pytest.mark.parametrize("structure", [AUGMENTED, FLIGHT])
 @pytest.mark.parametrize("horizon", [1.0, 0.05])
-def test_predictions_ahead_are_where_an_integration_ends(
+def test_predictions_ahead_equal_the_end_of_an_integration(
     structure: Structure, horizon: float
 ) -> None:
     record = fly(structure, duration=3.0)
@@ -241,12 +241,12 @@ def test_predictions_ahead_are_where_an_integration_ends(
     np.testing.assert_array_equal(t_ns, record.ticks_ns[:count] + horizon_ns)
     for tick in (0, count // 2, count - 1):
         model, _ = predicted(record.samples(record.t_ns <= t_ns[tick]), tick, free=True)
-        # the error of Runge and Kutta's method at its largest step, for these modes
+        # error of the Runge-Kutta method at its largest step, for these modes
         np.testing.assert_allclose(ahead[tick], model[-1], rtol=0.0, atol=1e-6)
 
 
 def with_errors(record: Record, every: int = 4) -> Record:
-    """The record with noise, and with other wrong coefficients at some of the ticks."""
+    """Return the record with noise, and different wrong coefficients at some ticks only."""
     rng = np.random.default_rng(3)
     noisy = record.rates + 0.02 * rng.normal(size=record.rates.shape)
     factors = rng.uniform(0.7, 1.4, (len(record.ticks_ns), 1, 1))
@@ -261,7 +261,7 @@ def with_errors(record: Record, every: int = 4) -> Record:
 def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
     structure: Structure, duration: float, every: int
 ) -> None:
-    """Three seconds over the windows that have three, five over those that have five."""
+    """Each horizon includes only the windows of at least its length."""
     record = with_errors(fly(structure, duration=duration, jitter=0.3), every)
     result = record.everything()
     ends = record.ticks_ns[:, None] + np.rint(1e9 * np.array(prediction.HORIZONS)).astype(int)
@@ -282,14 +282,14 @@ def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
 
 
 def holding(record: Record, measured: list[Array]) -> list[Array]:
-    """The rate at the start of each of the first windows, for each of its samples."""
+    """Return the rate at the start of each of the first windows, for each of its samples."""
     t = (record.t_ns - START_NS) * 1e-9
     at = (record.ticks_ns[: len(measured)] - START_NS) * 1e-9
     x0 = np.stack([np.interp(at, t, column) for column in record.rates.T], axis=1)
     return [np.tile(x, (len(m), 1)) for x, m in zip(x0, measured, strict=True)]
 
 
-def test_windows_of_the_record_and_their_counts() -> None:
+def test_windows_of_the_score_of_record_have_the_counts_of_the_contract() -> None:
     t_ns = START_NS + 10_000_000 * np.arange(6001)  # 60 s at 100 Hz
     rates = np.random.default_rng(0).normal(size=(6001, 3))
     ticks = START_NS + 50_000_000 * np.arange(1, 1201)
@@ -299,7 +299,7 @@ def test_windows_of_the_record_and_their_counts() -> None:
     errors = prediction.window_errors(flown, prediction.Published(ticks, coefficients, BASELINE))
     result = prediction.score_windows(errors, int(t_ns[0]), int(t_ns[-1]))
     assert list(result) == list(prediction.SELECTIONS) == ["last_40_percent", "after_30_s"]
-    # starts from 36 s, and from 30 s, to 59 s, both included
+    # starts at 36 s, and at 30 s, to 59 s inclusive
     assert result["last_40_percent"].windows == 23 * 20 + 1
     assert result["after_30_s"].windows == 29 * 20 + 1
     assert result["after_30_s"].samples == (29 * 20 + 1) * 100
@@ -340,5 +340,5 @@ def test_no_window_spans_a_gap_or_needs_unknown_inputs() -> None:
     known = replace(record.inputs, t_ns=record.inputs.t_ns[50:90], u=record.inputs.u[50:90])
     errors = prediction.window_errors(replace(record, inputs=known), record.published)
     assert errors.t_ns[0] == pytest.approx(known.t_ns[0])
-    # held for the timeout after the last
+    # the last inputs hold until the timeout
     assert (errors.t_ns[-1] - known.t_ns[-1]) * 1e-9 == pytest.approx(0.5 - 1.0)
