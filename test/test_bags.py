@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading bags: order, foreign types, and one clear line for everything that is wrong."""
+"""Reading bags: order, foreign types, and a one-line error for every problem."""
 
 import sqlite3
 from contextlib import closing
@@ -46,7 +46,7 @@ def mcap(path: Path) -> Path:
 
 @pytest.mark.parametrize("compress", [False, True])
 @pytest.mark.parametrize("form", ["folder", "file", "no metadata", "metadata file"])
-def test_log_time_order_in_every_form(form: str, compress: bool, tmp_path: Path) -> None:
+def test_messages_are_in_log_time_order(form: str, compress: bool, tmp_path: Path) -> None:
     path = write(tmp_path / "bag", compress=compress)
     if form == "no metadata":
         (path / "metadata.yaml").unlink()
@@ -64,7 +64,7 @@ def test_log_time_order_in_every_form(form: str, compress: bool, tmp_path: Path)
     assert only_b == [20, 40]
 
 
-def test_several_files_without_metadata_follow_their_times(tmp_path: Path) -> None:
+def test_files_without_metadata_are_ordered_by_their_log_times(tmp_path: Path) -> None:
     folder = tmp_path / "split"
     folder.mkdir()
     for name, log_ns in (("z", 1), ("a", 2)):
@@ -96,7 +96,7 @@ def test_a_foreign_type_is_read_by_its_definition_in_the_bag(tmp_path: Path) -> 
     assert read.control.tolist() == [*range(8)]
 
 
-def test_a_foreign_type_without_a_definition_or_with_a_broken_one(tmp_path: Path) -> None:
+def test_a_foreign_type_without_a_valid_definition_is_refused(tmp_path: Path) -> None:
     path = write_foreign(tmp_path / "none", StoragePlugin.SQLITE3)
     with closing(sqlite3.connect(path / "none.db3")) as database, database:
         database.execute("DELETE FROM message_definitions")
@@ -135,7 +135,7 @@ def write_ros1(path: Path, compression: Any = None) -> None:
 
 
 @pytest.mark.parametrize("compression", [None, *Ros1Writer.CompressionFormat], ids=str)
-def test_a_bag_of_ros_1(compression: Any, tmp_path: Path) -> None:
+def test_a_ros_1_bag_is_read_with_its_definitions(compression: Any, tmp_path: Path) -> None:
     write_ros1(tmp_path / "old.bag", compression)
     with Bag(tmp_path / "old.bag") as bag:
         assert bag.types == {
@@ -149,12 +149,12 @@ def test_a_bag_of_ros_1(compression: Any, tmp_path: Path) -> None:
     assert rates == [0.1 * k for k in range(1, 400)]
     assert pulses == [1500 + k for k in range(1, 400)]
     imu = next(data for topic, log_ns, _, data in read if topic == "/imu" and log_ns == 7)
-    reading = decode_imu_cdr(imu)  # as the identifier reads it
+    reading = decode_imu_cdr(imu)  # by the identifier's reader
     assert reading is not None
     assert (reading.stamp_ns, reading.frame_id) == (100_014_000_000, "base_link")
 
 
-def test_a_database_without_metadata_and_half_of_one(tmp_path: Path) -> None:
+def test_a_database_is_read_without_metadata_and_refused_if_truncated(tmp_path: Path) -> None:
     path = tmp_path / "bag"
     store = get_typestore(Stores.ROS2_JAZZY)
     with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
@@ -174,14 +174,14 @@ def test_a_database_without_metadata_and_half_of_one(tmp_path: Path) -> None:
     assert str(caught.value).endswith("(the tool sqlite3 may save what is there, by '.recover')")
 
 
-def test_unknown_topic_lists_those_present(tmp_path: Path) -> None:
+def test_the_error_of_an_unknown_topic_lists_the_topics(tmp_path: Path) -> None:
     with Bag(write(tmp_path / "bag")) as bag:
         for query in (lambda: bag.decoder("/c"), lambda: next(bag.messages(["/c"]))):
             with pytest.raises(BagError, match=rf"no topic '/c'; it has /a \({ARRAY}\), /b"):
                 query()
 
 
-def test_missing_foreign_and_damaged_files(tmp_path: Path) -> None:
+def test_missing_foreign_and_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
     write_ros1(tmp_path / "old.bag")
     content = (tmp_path / "old.bag").read_bytes()
     for name, damaged in (("cut", content[: len(content) // 2]), ("none", b""), ("no", b"no bag")):
@@ -204,7 +204,7 @@ def test_missing_foreign_and_damaged_files(tmp_path: Path) -> None:
             Bag(tmp_path / name)
 
 
-def test_metadata_that_is_wrong(tmp_path: Path) -> None:
+def test_wrong_metadata_is_reported_and_ignored(tmp_path: Path) -> None:
     path = write(tmp_path / "bag")
     for text, words in (
         ("rosbag2_bagfile_information: {}\n", "A metadata key is missing"),
@@ -233,7 +233,7 @@ BOMB = 300 * 2**20
 
 
 def bomb(path: Path, compression: CompressionType, printed: int) -> Path:
-    """Write a bag whose only chunk becomes `BOMB` bytes or a few more, and declares `printed`."""
+    """Write a bag whose only chunk inflates to `BOMB` bytes or more, but declares `printed`."""
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=2 * BOMB, compression=compression)
         writer.start(profile="ros2", library="test")
@@ -250,10 +250,10 @@ def bomb(path: Path, compression: CompressionType, printed: int) -> Path:
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 @pytest.mark.parametrize("printed", [1000, BOMB])
-def test_a_bag_that_becomes_too_large(
+def test_decompression_of_a_chunk_stops_at_the_limit(
     compression: CompressionType, printed: int, tmp_path: Path
 ) -> None:
-    """Whatever it declares: decompressing stops at the limit."""
+    """The limit holds for any declared size."""
     path = bomb(tmp_path / "bomb.mcap", compression, printed)
     assert path.stat().st_size < 2 * 2**20
     program = (
@@ -262,7 +262,7 @@ def test_a_bag_that_becomes_too_large(
         "try:\n"
         f"    with Bag({str(path)!r}) as bag: list(bag.messages(bag.types))\n"
         "except BagError as error: print(error)\n"
-        # not ru_maxrss: that begins with the memory of whoever forked it
+        # not ru_maxrss, which starts at the memory of the parent process
         "peak = re.search(r'VmHWM:[^0-9]+([0-9]+) kB', open('/proc/self/status').read())\n"
         "print(int(peak[1]) // 1024)\n"
     )
@@ -272,7 +272,7 @@ def test_a_bag_that_becomes_too_large(
     assert int(peak) < 500  # MiB
 
 
-def test_a_compressed_file_that_becomes_too_large(tmp_path: Path) -> None:
+def test_decompression_of_a_file_stops_at_the_limit(tmp_path: Path) -> None:
     path = write(tmp_path / "bag")
     file = mcap(path)
     content = zstandard.compress(file.read_bytes() + bytes(80 * 2**20))
@@ -287,7 +287,7 @@ def test_a_compressed_file_that_becomes_too_large(tmp_path: Path) -> None:
         Bag(path)
 
 
-def test_error_of_the_caller_stays_the_callers(tmp_path: Path) -> None:
+def test_an_error_of_the_caller_is_not_converted(tmp_path: Path) -> None:
     with Bag(write(tmp_path / "bag")) as bag, pytest.raises(ZeroDivisionError):
         for _ in bag.messages(["/a"]):
             raise ZeroDivisionError

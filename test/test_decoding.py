@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as ROS 2's own serializer leaves them, with room that it has reserved and not used."""
+"""Messages of ROS 2's serializer, with reserved but unused bytes at the end."""
 
 import itertools
 from pathlib import Path
@@ -46,7 +46,7 @@ MESSAGES: dict[str, list[Any]] = {
 
 
 def recorded(path: Path, msgtype: str, serialized: list[bytes]) -> Bag:
-    """Write serialized messages, as `rosbag2_py` records them, and open the bag."""
+    """Write serialized messages with `rosbag2_py`, and open the bag."""
     with BagWriter(path) as bag:
         bag.topic("/a", msgtype)
         for log_ns, data in enumerate(serialized, 1):
@@ -55,8 +55,8 @@ def recorded(path: Path, msgtype: str, serialized: list[bytes]) -> Bag:
 
 
 @pytest.mark.parametrize("msgtype", MESSAGES)
-def test_bytes_behind_a_message_are_left_out_as_rclpy_does(msgtype: str, tmp_path: Path) -> None:
-    """The serializer aligns for the elements of an empty sequence; others add what they like."""
+def test_bytes_after_a_message_are_ignored_as_in_rclpy(msgtype: str, tmp_path: Path) -> None:
+    """The serializer aligns for the elements of an empty sequence; others append any bytes."""
     messages = MESSAGES[msgtype]
     serialized = [serialize_message(message) + bytes(20 * (k % 2)) for k, message in
                   enumerate(messages)]  # fmt: skip
@@ -68,7 +68,7 @@ def test_bytes_behind_a_message_are_left_out_as_rclpy_does(msgtype: str, tmp_pat
             assert deserialize_message(bytes(written), type(message)) == message
 
 
-def test_bytes_that_are_no_such_message(tmp_path: Path) -> None:
+def test_bytes_of_no_valid_message_are_refused(tmp_path: Path) -> None:
     whole = [serialize_message(joint_state((4, n, n))) for n in (0, 4)]
     spoiled = [
         *(data[:-12] for data in whole),

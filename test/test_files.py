@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files, as a real rclpy node reads them, and coefficients files: one line a fault."""
+"""Parameter files, compared with rclpy, and coefficients files: a one-line error for each fault."""
 
 import json
 import os
@@ -113,14 +113,14 @@ def write(folder: Path, text: str) -> Path:
 
 
 def rclpy_nodes(*requested: tuple[Path, str]) -> list[dict[str, str] | None]:
-    """What real nodes are given by a file, in a namespace; None where rclpy refuses the file."""
+    """Return the parameters of real nodes from a file, by namespace; None if rclpy refuses it."""
     pytest.importorskip("rclpy")
     given = json.dumps([(str(path), namespace) for path, namespace in requested])
     done = python("-c", NODES, input=given, check=True)
     return json.loads(done.stdout.split("FOUND ")[1])
 
 
-def test_same_values_as_rclpy(tmp_path: Path) -> None:
+def test_values_equal_those_of_rclpy(tmp_path: Path) -> None:
     path = write(tmp_path, TRICKY)
     namespaces = ("/", "/drone1", "/fleet/drone1")
     for namespace, live in zip(
@@ -149,7 +149,7 @@ REFUSED = [
 ]
 
 
-def test_what_rcl_refuses_is_refused(tmp_path: Path) -> None:
+def test_files_refused_by_rcl_are_refused(tmp_path: Path) -> None:
     paths = []
     for number, (text, words) in enumerate(REFUSED):
         paths.append(tmp_path / f"{number}.yaml")
@@ -161,7 +161,7 @@ def test_what_rcl_refuses_is_refused(tmp_path: Path) -> None:
     assert rclpy_nodes(*((path, "/") for path in paths)) == [None] * len(paths)
 
 
-def test_files_without_parameters_and_what_is_no_text(tmp_path: Path) -> None:
+def test_files_without_parameters_are_empty_and_non_text_is_refused(tmp_path: Path) -> None:
     for text in ("", "# nothing\n", "/**:\n  ros__parameters: {}\n"):
         assert load_parameters(write(tmp_path, text), "identifier") == {}
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
@@ -176,7 +176,7 @@ def test_files_without_parameters_and_what_is_no_text(tmp_path: Path) -> None:
             ParameterFile.read(tmp_path / name)
 
 
-def test_parameters_of_every_node_are_left_out_and_values_suit_the_settings(tmp_path: Path) -> None:
+def test_parameters_of_every_node_are_omitted_and_the_others_valid(tmp_path: Path) -> None:
     text = (
         "/**:\n  ros__parameters:\n    use_sim_time: true\n    forgetting_time: 1e2\n"
         "    qos_overrides./imu/data.subscription.depth: 100\n"
@@ -205,9 +205,9 @@ def saved(folder: Path) -> tuple[Path, str]:
     return path, path.read_text(encoding="utf-8")
 
 
-def test_any_yaml_reader_sees_numbers(tmp_path: Path) -> None:
+def test_any_yaml_reader_reads_numbers(tmp_path: Path) -> None:
     original = example()
-    original.values[0, 0] = 1e-5  # Python writes 1e-05, which YAML 1.1 takes for a word
+    original.values[0, 0] = 1e-5  # Python writes 1e-05, a string in YAML 1.1
     original.sigma[0, 0] = np.nan
     save_coefficients(original, tmp_path / "coefficients.yaml")
     content = yaml.safe_load((tmp_path / "coefficients.yaml").read_text(encoding="utf-8"))
@@ -245,7 +245,7 @@ def test_any_yaml_reader_sees_numbers(tmp_path: Path) -> None:
         ("format:", "form:", "unknown entry 'form': did you mean 'format'"),
     ],
 )
-def test_each_fault_has_its_line(old: str, new: str, words: str, tmp_path: Path) -> None:
+def test_each_fault_has_its_one_line_error(old: str, new: str, words: str, tmp_path: Path) -> None:
     path, text = saved(tmp_path)
     assert old in text
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
@@ -255,7 +255,7 @@ def test_each_fault_has_its_line(old: str, new: str, words: str, tmp_path: Path)
     assert "\n" not in str(caught.value)
 
 
-def test_wrong_structure_and_what_is_no_such_file(tmp_path: Path) -> None:
+def test_a_wrong_structure_and_foreign_files_are_refused(tmp_path: Path) -> None:
     path, _ = saved(tmp_path)
     with pytest.raises(CoefficientsFileError, match="for structure 'baseline', but 'structure' is"):
         load_coefficients(path, "augmented")
@@ -275,7 +275,7 @@ def test_wrong_structure_and_what_is_no_such_file(tmp_path: Path) -> None:
         save_coefficients(example(), tmp_path)
 
 
-def test_value_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
+def test_a_non_finite_value_is_not_written(tmp_path: Path) -> None:
     path, before = saved(tmp_path)
     spoilt = example()
     spoilt.values[0, 0] = np.nan
@@ -299,7 +299,7 @@ def test_interrupted_write_leaves_the_old_file(
     assert os.listdir(tmp_path) == [path.name]
 
 
-def test_missing_folder_and_link(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused_and_a_link_is_kept(tmp_path: Path) -> None:
     with pytest.raises(CoefficientsFileError, match="no such file or folder"):
         save_coefficients(example(), tmp_path / "missing" / "c.yaml")
     target, link = tmp_path / "target.yaml", tmp_path / "link.yaml"

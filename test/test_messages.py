@@ -109,8 +109,8 @@ def test_every_declared_type_is_read() -> None:
         assert types.ACTUATORS[name].stamped is (stamp_ns is not None)
 
 
-def test_rates_of_px4() -> None:
-    message = M(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])  # has no time of the sample
+def test_px4_rates_have_the_sample_time_and_the_valid_force() -> None:
+    message = M(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])  # without a sample time
     read = types.RATES["px4_msgs/msg/VehicleAngularVelocity"]
     assert read(message) == types.RatesReading(12_000, (1.0, 2.0, 3.0), None, "")
     message = M(
@@ -125,7 +125,7 @@ def test_rates_of_px4() -> None:
     assert read(message).specific_force is None
 
 
-def test_imu() -> None:
+def test_imu_is_read_without_absent_rates_or_force() -> None:
     read = types.RATES["sensor_msgs/msg/Imu"]
     expected = (STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), "base_link")
     assert read(imu()) == expected
@@ -156,8 +156,8 @@ def test_channels_by_name_follow_the_names_of_each_message() -> None:
     assert by_name(1, 0)(unnamed)[1] == (2.0, 1.0)
 
 
-def test_channels_that_are_not_there_are_named() -> None:
-    many = joints([f"servo{i}" for i in range(5000)], [1.0] * 5000)  # some are listed, not all
+def test_absent_channels_are_named_in_the_error() -> None:
+    many = joints([f"servo{i}" for i in range(5000)], [1.0] * 5000)  # the error lists a part
     one, four = joints(["elevator"], [1.0]), M(data=CHANNELS)
     for read, message, words in (
         (by_name("elevater"), one, "'elevater' among elevator; did you mean"),
@@ -179,14 +179,14 @@ def test_only_channels_in_use_must_be_finite() -> None:
         assert caught.value.reason == "not finite"
 
 
-def test_wrong_field_and_names_without_names() -> None:
+def test_a_wrong_field_and_names_without_a_name_field_are_refused() -> None:
     with pytest.raises(types.MessageTypeError, match="has position, velocity, normalized"):
         reader(type="actuator_msgs/msg/Actuators", field="data")
     with pytest.raises(types.MessageTypeError, match="names no channels"):
         reader(type="mavros_msgs/msg/RCOut", channels=["elevator"])
 
 
-def test_frames_that_contradict_the_convention_and_those_that_agree() -> None:
+def test_a_frame_is_a_fault_if_it_contradicts_the_convention() -> None:
     for frame_id in ("base_link_frd", "map_ned"):
         assert frame_id in types.frame_fault("flu", frame_id, "sensor_msgs/msg/Imu")
         assert not types.frame_fault("frd", frame_id, "sensor_msgs/msg/Imu")
@@ -208,14 +208,14 @@ def test_cdr_reader_agrees_with_the_decoder() -> None:
     assert (reading.rates, reading.specific_force) == (None, None)
 
 
-def test_cdr_reader_leaves_other_encodings_alone() -> None:
+def test_cdr_reader_returns_none_for_other_encodings() -> None:
     data = serialized(imu("a"))
     assert decode_imu_cdr(b"\x00\x07" + data[2:]) is None
     assert decode_imu_cdr(data[:16] + b"\xff" + data[17:]) is None  # frame_id is not UTF-8
     assert decode_imu_cdr(data[:12] + b"\xff\xff\xff\xff" + data[16:]) is None
 
 
-def test_import_type() -> None:
+def test_a_type_is_imported_or_refused_by_name() -> None:
     sensor_msgs = pytest.importorskip("sensor_msgs.msg")
     assert types.import_type("sensor_msgs/msg/Imu") is sensor_msgs.Imu
     for name, words in (
@@ -241,17 +241,15 @@ BOOT_NS = 300 * 10**9
 
 @pytest.mark.parametrize("flown", [0, 100])
 @pytest.mark.parametrize("imu_ns", [NODE_NS, BOOT_NS, NODE_NS + BOOT_NS])
-def test_of_several_messages_without_a_time_before_a_sample_the_last_counts(
-    imu_ns: int, flown: int
-) -> None:
-    """They count from their arrival, whichever clock the Imu runs on, and before it begins."""
+def test_the_last_message_without_a_stamp_before_a_sample_applies(imu_ns: int, flown: int) -> None:
+    """Such messages apply from their arrival, for any clock of the Imu, also before its start."""
     identifier = OnlineIdentifier(Settings.from_values({"armed.type": "std_msgs/msg/Bool"}))
     (stream,) = (stream for stream in STREAMS if stream.name == ARMED)
     offs: list[float] = []
     feed = Feed(stream, identifier, lambda data: M(data=data == b"yes"), on_offset=offs.append)
 
     def fly(first: int, until: int) -> list[str]:
-        """Samples of 10 ms; why nothing was learned."""
+        """Add samples every 10 ms; return the reasons to pause."""
         reasons = []
         for k in range(first + 1, until + 1):
             rate, stamp_ns = 0.2 * math.sin(0.05 * k), imu_ns + 10_000_000 * k
@@ -262,8 +260,8 @@ def test_of_several_messages_without_a_time_before_a_sample_the_last_counts(
         return reasons
 
     fly(0, flown)
-    for number, said in enumerate((b"no", b"yes", b"yes", b"no")):
-        feed.take(said, NODE_NS + 10_000_000 * flown + 1000 * number)
+    for number, payload in enumerate((b"no", b"yes", b"yes", b"no")):
+        feed.take(payload, NODE_NS + 10_000_000 * flown + 1000 * number)
     assert "not armed" in fly(flown, flown + 50)[-1]
     assert not +identifier.intake.drops[ARMED]
     assert len(offs) == (imu_ns != NODE_NS), "it is told once"

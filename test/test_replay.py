@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`replay`: the same as the core fed by hand, files of the contract, and clear refusals."""
+"""`replay`: the core's estimates, the files of the contract, and one-line refusals."""
 
 import itertools
 import math
@@ -51,20 +51,20 @@ ARRAY, JOINTS, TWIST = writing.ARRAY, writing.JOINT_STATE, writing.TWIST
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first part of a committed bag."""
+    """Return the first part of a committed bag."""
     return excerpt(tmp_path_factory.mktemp("flight") / "multisine", 34.0)
 
 
 @pytest.fixture(scope="module")
 def replayed(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of one replay of it."""
+    """Return the results of a replay of this part."""
     folder = tmp_path_factory.mktemp("replayed") / "results"
     assert replay(flight, folder, "--plot") == 0
     return folder
 
 
 def fed_by_hand(bag: Path, values: dict[str, Any]) -> tuple[OnlineIdentifier, list[Estimate]]:
-    """The core over a bag, by the tick rule, with another bag reader; its estimates."""
+    """Run the core over a bag with another bag reader; return it and its estimates."""
     identifier = OnlineIdentifier(Settings.from_values(values))
     estimates = []
     with AnyReader([bag]) as reader:
@@ -88,7 +88,7 @@ def fed_by_hand(bag: Path, values: dict[str, Any]) -> tuple[OnlineIdentifier, li
 
 
 def published(output: Path) -> dict[str, list[tuple[int, Any]]]:
-    """Log times and messages of a bag of estimates, by topic."""
+    """Return log times and messages of a bag of estimates, by topic."""
     found = decoded(output / "estimates")
     return {topic.removeprefix("/identifier/"): entries for topic, entries in found.items()}
 
@@ -97,7 +97,7 @@ AIRSPEED = "/airspeed"
 
 
 def with_airspeed(msgtype: str) -> Any:
-    """A change of an excerpt: an airspeed beside every 10th of the rates; every 50th is NaN."""
+    """Return a change of an excerpt: an airspeed at every 10th sample, every 50th of them NaN."""
     count = itertools.count()
 
     def change(name: str, log_ns: int, message: Any) -> list[Entry]:
@@ -107,7 +107,7 @@ def with_airspeed(msgtype: str) -> Any:
             return entries
         speed = math.nan if k % 500 == 0 else 20.0 + 5.0 * math.sin(0.002 * k)
         word = writing.plain(NUMBER, speed)
-        if msgtype == TWIST:  # stamped 12 ms before it is recorded; the airspeed is its length
+        if msgtype == TWIST:  # stamped 12 ms before the log time; the airspeed is its length
             word = writing.twist_stamped(log_ns - 12_000_000, (0.6 * speed, 0.0, -0.8 * speed))
         return [*entries, (AIRSPEED, log_ns, word)]
 
@@ -117,7 +117,7 @@ def with_airspeed(msgtype: str) -> Any:
 @pytest.mark.parametrize(
     ("name", "rows", "airspeed"),
     [
-        ("pulses", "pdot,qdot,rdot", ""),  # actuators without a stamp count from their log time
+        ("pulses", "pdot,qdot,rdot", ""),  # actuators without a stamp have their log time
         ("c172p", "pdot,qdot,rdot,ay,az", ""),
         ("multisine", "pdot,qdot,rdot", NUMBER),
         ("multisine", "pdot,qdot,rdot", TWIST),
@@ -126,7 +126,7 @@ def with_airspeed(msgtype: str) -> Any:
 def test_estimates_are_those_of_the_core_to_the_bit(
     name: str, rows: str, airspeed: str, tmp_path: Path, capsys: Capture
 ) -> None:
-    """With the default structure angle of attack, sideslip and attitude, too, and two more rows."""
+    """The default structure adds flow angles, attitude and two rows."""
     change = with_airspeed(airspeed) if airspeed else None
     bag, output = excerpt(tmp_path / "bag", 6.0, name, change), tmp_path / "out"
     values = parameters(name, airspeed__type=airspeed, airspeed__reference=20.0)
@@ -155,7 +155,7 @@ def test_estimates_are_those_of_the_core_to_the_bit(
         assert (read.usable, read.usable_rows) == (estimate.usable, estimate.usable_rows)
         assert read.fit.tolist() == estimate.fit.tolist()
         assert read.flow == estimate.flow
-        assert not any(at["coefficients_named"].effort[-7:])  # of fits and verdicts
+        assert not any(at["coefficients_named"].effort[-7:])  # sigmas of fits and verdicts are zero
         for topic in ("predicted_rates", "prediction_error"):
             vector = at[topic].vector
             assert [vector.x, vector.y, vector.z] == getattr(estimate, topic).tolist()
@@ -195,7 +195,7 @@ def test_mcap_reader_finds_schemas_stamps_and_qos(replayed: Path) -> None:
     assert set(np.diff(ticks)) == {SECOND_NS // 20}
 
 
-def test_summary_coefficients_and_picture(replayed: Path) -> None:
+def test_summary_and_coefficients_file_agree_with_the_truth(replayed: Path) -> None:
     content = summary(replayed)
     truth = yaml.safe_load((BAGS / "multisine" / "truth.yaml").read_text())["coefficients"]
     for name in ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr"):
@@ -216,8 +216,8 @@ def test_summary_coefficients_and_picture(replayed: Path) -> None:
     assert picture.startswith(b"\x89PNG") and len(picture) > 20_000
 
 
-def test_the_time_usable_is_told_where_the_end_of_the_flight_is_not(replayed: Path) -> None:
-    """As with surfaces in turn: at the last tick there is always one that has not moved of late."""
+def test_the_usable_share_is_printed_if_the_end_is_not_usable(replayed: Path) -> None:
+    """Excited in turn, one surface is always unconfirmed at the last tick."""
     content = summary(replayed)
     rows = {"pdot": [], "qdot": [], "rdot": []}
     for _, message in published(replayed)["coefficients_named"]:
@@ -227,21 +227,21 @@ def test_the_time_usable_is_told_where_the_end_of_the_flight_is_not(replayed: Pa
     assert content["usable_share"] == {row: np.mean(flags) for row, flags in rows.items()}
     assert 0.0 < content["usable_share"]["pdot"] < 1.0
     assert "in the course" not in write_table(content)
-    told = "usable in the course of the flight: pdot 44 %, qdot 0 %, rdot 3 % of the ticks"
+    given = "usable in the course of the flight: pdot 44 %, qdot 0 %, rdot 3 % of the ticks"
     shares = {"pdot": 0.44, "qdot": 0.0, "rdot": 0.03}
-    assert told in write_table(content | {"doubt": "still", "usable_share": shares})
+    assert given in write_table(content | {"doubt": "still", "usable_share": shares})
     never = content | {"doubt": "still", "usable_share": dict.fromkeys(rows, 0.0)}
     assert "in the course" not in write_table(never)
 
 
-def test_table(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_printed_results(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table has the fits; an unidentifiable delay has no sigma."""
     monkeypatch.chdir(tmp_path)
-    """A delay that the flight does not show is no estimate: there is no sigma beside it."""
     short = excerpt(tmp_path / "short", 10.0, "pulses")
-    told = parameter_file(
+    given = parameter_file(
         tmp_path / "told.yaml", actuators__delay=0.03, actuators__estimate_delay=True
     )
-    assert main([str(short), "--params-file", str(told)]) == NOT_USABLE
+    assert main([str(short), "--params-file", str(given)]) == NOT_USABLE
     printed = capsys.readouterr().out
     assert re.search(r"^coefficient +value +sigma +t-ratio  meaning$", printed, re.MULTILINE)
     assert "pdot/da " in printed
@@ -256,14 +256,14 @@ OWN = {IMU: IMU_TYPE, ACTUATORS: ARRAY}
 USUAL = {"rates": IMU, "actuators": ACTUATORS}
 ASKED = "/identifier/excitation"
 CHOICES: list[tuple[dict[str, str], dict[str, str], dict[str, str], dict[str, str]]] = [
-    # topics and types of a bag, parameters, topics asked for, topics read
+    # topics and types of a bag, parameters, requested topics, topics read
     ({"/plane/imu": IMU_TYPE, "/plane/servos": ARRAY}, {}, {},
      {"rates": "/plane/imu", "actuators": "/plane/servos"}),
     ({"/imu_a": IMU_TYPE, "/imu_b": IMU_TYPE, ACTUATORS: ARRAY}, {}, {"rates": "/imu_b"},
      USUAL | {"rates": "/imu_b"}),
     (OWN | {"/pitot": NUMBER}, {"airspeed.type": ""}, {}, USUAL),
     (OWN | {"/pitot": NUMBER}, {"airspeed.type": NUMBER}, {}, USUAL | {"airspeed": "/pitot"}),
-    # the option alone is enough: the type is the topic's
+    # the option suffices: the topic has a type
     (OWN | {"/pitot": NUMBER}, {"airspeed.type": ""}, {"airspeed": "/pitot"},
      USUAL | {"airspeed": "/pitot"}),
     (OWN | {"/pitot_a": NUMBER, "/silent": NUMBER}, {"airspeed.type": NUMBER}, {},
@@ -277,7 +277,7 @@ CHOICES: list[tuple[dict[str, str], dict[str, str], dict[str, str], dict[str, st
 
 
 def bag_of(path: Path, topics: dict[str, str]) -> Path:
-    """A bag of these topics, each but a silent one with a message."""
+    """Write a bag of these topics, with a message on each but a silent one."""
     with writing.BagWriter(path) as writer:
         for topic, msgtype in topics.items():
             writer.topic(topic, msgtype)
@@ -286,18 +286,18 @@ def bag_of(path: Path, topics: dict[str, str]) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("topics", "values", "asked", "read"), CHOICES)
-def test_topics_are_found_by_name_by_type_and_by_option(
-    tmp_path: Path, topics: Any, values: Any, asked: Any, read: Any
+@pytest.mark.parametrize(("topics", "values", "requested", "read"), CHOICES)
+def test_topics_are_chosen_by_name_type_and_option(
+    tmp_path: Path, topics: Any, values: Any, requested: Any, read: Any
 ) -> None:
     with Bag(bag_of(tmp_path / "bag", topics)) as bag:
-        inputs = choose_inputs(bag, values, asked)
+        inputs = choose_inputs(bag, values, requested)
         assert inputs.streams == read
         assert inputs.settings.actuators.type == ARRAY
         assert (inputs.settings.airspeed.type == NUMBER) == ("airspeed" in read)
 
 
-def test_topics_that_could_all_be_it_are_listed_and_types_must_agree(tmp_path: Path) -> None:
+def test_ambiguous_topics_are_listed_and_types_must_agree(tmp_path: Path) -> None:
     def doubled(topic: str, log_ns: int, message: Any) -> list[Entry] | None:
         both = [("/imu_a", log_ns, message), ("/imu_b", log_ns, message)]
         return both if topic == IMU else None
@@ -320,7 +320,7 @@ def test_topics_that_could_all_be_it_are_listed_and_types_must_agree(tmp_path: P
 
 
 @pytest.mark.parametrize("frame_id", ["imu_frd", "map_ned"])
-def test_contradicting_frame_is_a_fault(frame_id: str, tmp_path: Path, capsys: Capture) -> None:
+def test_a_contradicting_frame_is_a_fault(frame_id: str, tmp_path: Path, capsys: Capture) -> None:
     def reframed(topic: str, log_ns: int, message: Any) -> None:
         if topic == IMU:
             message.header.frame_id = frame_id
@@ -333,7 +333,7 @@ def test_contradicting_frame_is_a_fault(frame_id: str, tmp_path: Path, capsys: C
     assert len(lines) == 2
 
 
-def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
+def test_no_window_spans_a_jump_of_the_time_base(tmp_path: Path) -> None:
     half_ns = START_NS + 14 * SECOND_NS
 
     def jumping(topic: str, log_ns: int, message: Any) -> list[Entry]:
@@ -346,13 +346,13 @@ def test_jump_of_the_time_base_is_not_scored_across(tmp_path: Path) -> None:
     run = run_over(path, parameters())
     assert run.era == 1
     fit = run.score()["after_30_s"]
-    # everything after the jump is late enough: 14 s of ticks less the last window
+    # all ticks after the jump count: 14 s less the last window
     assert 12 * 20 <= fit.windows <= 13 * 20
     assert (fit.model > 80.0).all()
 
 
 @pytest.mark.parametrize("name", ["c172p", "multisine"])
-def test_the_score_in_pieces_is_that_of_the_whole(
+def test_the_score_in_pieces_equals_that_of_the_whole(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = run_over(excerpt(tmp_path / "bag", 7.0, name), parameters(name))
@@ -366,7 +366,7 @@ def test_the_score_in_pieces_is_that_of_the_whole(
         assert (fit.windows, fit.samples) == (whole[selection].windows, whole[selection].samples)
 
 
-def test_initial_coefficients_file_is_the_start(tmp_path: Path) -> None:
+def test_the_initial_coefficients_are_the_start_of_the_estimator(tmp_path: Path) -> None:
     structure = STRUCTURES["baseline"]
     values = np.where(structure.mask, 0.5, 0.0)
     start = CoefficientSet("baseline", values, np.where(structure.mask, 0.1, 0.0))
@@ -380,12 +380,12 @@ def test_initial_coefficients_file_is_the_start(tmp_path: Path) -> None:
     )
     bag = excerpt(tmp_path / "bag", 3.0, "pulses")
     output = tmp_path / "out"
-    assert replay(bag, output, by=path) == NOT_USABLE  # what never moved was never judged
+    assert replay(bag, output, by=path) == NOT_USABLE  # without motion there is no verdict
     assert load_coefficients(output / "coefficients.yaml").values.tobytes() == values.tobytes()
 
 
 BAD_INPUT = [
-    # arguments behind the bag, a line of the parameter file, the answer
+    # arguments after the bag, a line of the parameter file, the error
     ("--topic imu/data:=gyro", "", "has no topic '/gyro'; it has /actuators"),
     ("--topic actuators:=/x", "", "has no topic '/x'"),
     ("--topic airspeed:=/x", "", "has no topic '/x'"),
@@ -414,12 +414,12 @@ BAD_INPUT = [
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A second of flight."""
+    """Return a bag of one second of flight."""
     return excerpt(tmp_path_factory.mktemp("short") / "bag", 1.0, "pulses")
 
 
 @pytest.mark.parametrize(("options", "line", "words"), BAD_INPUT)
-def test_bad_input_is_one_line_and_status_2(
+def test_bad_input_is_refused_in_one_line_with_status_2(
     options: str,
     line: str,
     words: str,
@@ -440,7 +440,7 @@ def test_bad_input_is_one_line_and_status_2(
     assert re.search(words, printed), printed
 
 
-def test_only_a_bag_is_replaced(tmp_path: Path) -> None:
+def test_only_a_pure_bag_folder_is_replaced(tmp_path: Path) -> None:
     structure = STRUCTURES["baseline"]
     path = tmp_path / "estimates"
     write_estimates(path, [], structure, "/identifier", "")
@@ -454,7 +454,7 @@ def test_only_a_bag_is_replaced(tmp_path: Path) -> None:
 
 def test_without_actuators_there_is_a_table_but_no_score(tmp_path: Path, capsys: Capture) -> None:
     def late(topic: str, log_ns: int, message: Any) -> list[Entry]:
-        # Actuators stamped by another clock are a fault, and never used.
+        # Actuators stamped by another clock are a fault, and unused.
         return [(topic, log_ns + (100 * SECOND_NS if topic == ACTUATORS else 0), message)]
 
     def other_clock(topic: str, log_ns: int, message: Any) -> None:
@@ -473,7 +473,7 @@ def test_without_actuators_there_is_a_table_but_no_score(tmp_path: Path, capsys:
     assert "different clocks" in summary(output)["fault"]
 
 
-def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
+def test_the_estimated_delay_is_used_and_scored(tmp_path: Path) -> None:
     def delayed(topic: str, log_ns: int, message: Any) -> None:
         if topic == ACTUATORS:  # commands stamped 60 ms before they act
             early = message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec - 60_000_000
@@ -488,7 +488,7 @@ def test_estimated_delay_is_used_from_when_it_was_known(tmp_path: Path) -> None:
     assert fit.windows == pytest.approx(20 * (0.4e-9 * (last_ns - first_ns) - 1.0), abs=2)
 
 
-def test_a_message_of_unknown_names_is_no_excitation(tmp_path: Path) -> None:
+def test_excitation_messages_of_unknown_inputs_are_dropped(tmp_path: Path) -> None:
     def change(topic: str, log_ns: int, message: Any) -> list[Entry]:
         word = writing.joint_state(header_ns(message), ["flap"], [0.1])
         return [(topic, log_ns, message), ("/excitation", log_ns, word)]
@@ -498,8 +498,8 @@ def test_a_message_of_unknown_names_is_no_excitation(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("package", ["rosbags", "mcap", "pyarrow"])
-def test_the_error_names_the_package_that_is_missing(package: str) -> None:
-    """As on a machine that has the package from apt alone."""
+def test_the_error_names_the_missing_package(package: str) -> None:
+    """This is the case of an installation from apt alone."""
     code = (
         f"import sys; sys.modules['{package}'] = None\n"
         "from uav_ident_ros.offline import main; sys.exit(main(['bag', 'bag']))"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`replay` of many bags and of many configurations: each has its own outcome and its own folder."""
+"""`replay` of many bags and configurations: a separate outcome and folder for each."""
 
 import itertools
 import math
@@ -30,7 +30,7 @@ from uav_ident_ros.offline.parallel import DONE_FILE
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as it grows on a disk: flights, a short one, a broken one, results, other files."""
+    """Create a folder of flights, a short one, a broken one, results and other files."""
     folder = tmp_path_factory.mktemp("logs")
     excerpt(folder / "monday" / "flight", 34.0)
     excerpt(folder / "tuesday" / "flight", 3.0)
@@ -47,13 +47,13 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # --- which bags --------------------------------------------------------------------------------
 
 
-def test_what_is_a_bag_and_what_a_folder_of_them(tmp_path: Path) -> None:
+def test_a_bag_is_distinguished_from_a_folder_of_bags(tmp_path: Path) -> None:
     flight = excerpt(tmp_path / "flight", 0.1)
     assert not is_collection(flight)
     assert not is_collection(flight / "flight.mcap")
     assert not is_collection(tmp_path / "nowhere")
     (flight / "metadata.yaml").unlink()
-    assert not is_collection(flight)  # one file, no metadata: a recorder was killed
+    assert not is_collection(flight)  # one file without metadata: killed recorder
     (flight / "flight.mcap").rename(flight / "flight_0.mcap")
     (flight / "flight_1.mcap").write_bytes(b"")
     assert not is_collection(flight)  # the numbered files of one recording
@@ -67,7 +67,7 @@ def test_what_is_a_bag_and_what_a_folder_of_them(tmp_path: Path) -> None:
     assert find_bags(tmp_path / "empty") == []
 
 
-def test_names_differ_however_the_bags_are_called() -> None:
+def test_every_bag_has_a_unique_output_name() -> None:
     paths = ["a/x", "b/x", "c/y.mcap", "d/a/x", "y.db3/z"]
     assert names_of([Path(path) for path in paths]) == ["a_x", "b_x", "y", "a_x_2", "z"]
 
@@ -77,7 +77,7 @@ def test_names_differ_however_the_bags_are_called() -> None:
 
 @pytest.fixture(scope="module")
 def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
-    """The output folder of a replay of them all, and the finished process."""
+    """Return the output folder of a replay of all, and the finished process."""
     output = tmp_path_factory.mktemp("output")
     command = arguments(logs, output, "--jobs", "2")
     return output, python("-m", "uav_ident_ros.offline", *command)
@@ -87,7 +87,7 @@ def arguments(logs: Path, output: Path, *more: str) -> list[str]:
     return [str(logs), "--params-file", str(PARAMETERS), "--output", str(output), *more]
 
 
-def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
+def test_a_bad_bag_does_not_stop_the_others(replayed: tuple[Path, Any]) -> None:
     output, done = replayed
     assert done.returncode == NO_RESULT
     folders = sorted(path.name for path in output.iterdir() if path.is_dir())
@@ -107,7 +107,7 @@ def test_a_bad_bag_does_not_stop_the_rest(replayed: tuple[Path, Any]) -> None:
     assert f"\nwritten to {output}{os.sep}; table: {output / 'flights.csv'}" in done.stdout
 
 
-def test_side_by_side_gives_what_one_alone_gives(
+def test_parallel_replays_equal_single_ones(
     logs: Path, replayed: tuple[Path, Any], tmp_path: Path
 ) -> None:
     assert replay(logs / "monday" / "flight", tmp_path / "alone") == USABLE
@@ -119,7 +119,7 @@ def test_side_by_side_gives_what_one_alone_gives(
     assert together == alone
 
 
-def test_a_process_that_dies_leaves_the_others(logs: Path, tmp_path: Path) -> None:
+def test_a_killed_process_affects_its_own_bag_alone(logs: Path, tmp_path: Path) -> None:
     jobs = [
         Job(logs / day / "flight", day, tmp_path / day, (PARAMETERS,))
         for day in ("monday", "tuesday")
@@ -153,7 +153,7 @@ def test_interrupt_ends_every_process(tmp_path: Path) -> None:
         [*command, "--output", str(tmp_path / "out")],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
-    # the processes are starting, or under way
+    # the processes are starting or running
     assert wait_for(lambda: len(children(process.pid)) >= 2)
     os.killpg(process.pid, signal.SIGINT)
     output, errors = process.communicate(timeout=PATIENCE)
@@ -164,13 +164,13 @@ def test_interrupt_ends_every_process(tmp_path: Path) -> None:
 
 
 def children(pid: int) -> list[str]:
-    """The processes that a process has started from any of its threads."""
+    """Return the child processes of all threads of a process."""
     lists = Path(f"/proc/{pid}/task").glob("*/children")
     return [child for tasks in lists for child in tasks.read_text().split()]
 
 
 def gone(group: int) -> bool:
-    """Whether a group of processes has ended."""
+    """Return whether a group of processes has ended."""
     try:
         os.killpg(group, 0)
     except ProcessLookupError:
@@ -178,7 +178,7 @@ def gone(group: int) -> bool:
     return False
 
 
-def test_an_empty_folder_and_a_pipe_are_refused_and_stop_no_other(
+def test_an_empty_folder_and_a_pipe_are_refused_without_stopping_others(
     logs: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     (tmp_path / "empty").mkdir()
@@ -227,14 +227,14 @@ def test_the_table_has_a_row_for_each_flight_and_coefficient(
     assert len({row.settings_hash for row in rows}) == 1
 
 
-def test_what_is_done_is_not_done_again(
+def test_finished_replays_are_not_repeated_unless_settings_differ(
     logs: Path, replayed: tuple[Path, Any], tmp_path: Path, capsys: Capture
 ) -> None:
     output = tmp_path / "out"
     again = arguments(logs, output, "--jobs", "1")
     shutil.copytree(replayed[0], output)
     times = {file: file.stat().st_mtime_ns for file in output.rglob("estimates.mcap")}
-    # cut off in the middle of a flight, before its last file; another has no end
+    # one result file is truncated, another missing
     (output / "later" / DONE_FILE).unlink()
     cut = output / "tuesday_flight" / DONE_FILE
     cut.write_text(cut.read_text()[:40])
@@ -246,12 +246,12 @@ def test_what_is_done_is_not_done_again(
         done_again = file.stat().st_mtime_ns != before
         assert done_again == bool({"later", "tuesday_flight"} & set(file.parts)), file
     assert contents(output) == contents(replayed[0])
-    # other settings are another replay
+    # other settings need a new replay
     other = tmp_path / "other.yaml"
     other.write_text(PARAMETERS.read_text() + "    filter.cutoff: 20.0\n")
     assert main([*again, "--params-file", str(other)]) == 2
     assert "as replayed before" not in capsys.readouterr().out
-    # and what it has written anew is not taken for the first one
+    # the new result does not count as the first one
     assert main(again) == 2
     assert "as replayed before" not in capsys.readouterr().out
 
@@ -259,7 +259,7 @@ def test_what_is_done_is_not_done_again(
 def test_a_cluster_gives_the_same_table(
     logs: Path, replayed: tuple[Path, Any], tmp_path: Path
 ) -> None:
-    """One worker of a Dask cluster is killed at work: its flights are done elsewhere."""
+    """One worker of a Dask cluster is killed: another worker repeats its flights."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
@@ -297,7 +297,7 @@ def test_configurations_are_ranked_on_one_bag(logs: Path, tmp_path: Path, capsys
     assert re.match(r" 1 good +\d\d\.\d +\d\d\.\d +\d\d\.\d +\d\d\.\d +0\.000  usable", first)
     assert re.match(r" 2 late +.* 0\.150  ", second)
     assert holding.strip().startswith("holding the rates")
-    # each on top of the parameter file, each in its folder
+    # each extends the parameter file, and has a separate folder
     for name, estimator in (("good", "least_squares"), ("late", "instrumental_variable")):
         settings = summary(tmp_path / "out" / name)["settings"]
         assert settings["estimator"] == estimator
@@ -323,7 +323,7 @@ def outcome(name: str, status: int, model: tuple[float | None, ...]) -> Outcome:
     return Outcome(Job(Path(name), name, Path(name)), status, summary=content)
 
 
-def test_ranking_puts_usable_ones_first_and_one_bad_axis_does_not_hide_the_others() -> None:
+def test_ranking_has_usable_ones_first_and_limits_the_weight_of_a_bad_axis() -> None:
     usable = outcome("usable", USABLE, (40.0, 40.0, 40.0))
     better = outcome("better", NOT_USABLE, (90.0, 90.0, -1e5))
     worse = outcome("worse", NOT_USABLE, (20.0, 20.0, -1e9))
@@ -346,7 +346,7 @@ def test_ranking_puts_usable_ones_first_and_one_bad_axis_does_not_hide_the_other
 # --- options -----------------------------------------------------------------------------------
 
 
-def test_help_comes_at_once_without_what_the_work_needs() -> None:
+def test_help_is_printed_without_importing_numpy_or_rosbags() -> None:
     script = (
         "import sys\nfrom uav_ident_ros.offline import main\n"
         "try: main(['--help'])\nexcept SystemExit: print(sorted(sys.modules))"
@@ -356,7 +356,7 @@ def test_help_comes_at_once_without_what_the_work_needs() -> None:
     assert "'numpy'" not in shown_text.stdout and "'rosbags'" not in shown_text.stdout
 
 
-def test_a_fault_of_the_program_is_no_result(
+def test_an_internal_error_is_the_status_of_no_result(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     def broken(*arguments: object, **options: object) -> None:
@@ -364,13 +364,13 @@ def test_a_fault_of_the_program_is_no_result(
 
     monkeypatch.setattr("uav_ident_ros.offline.job.write_results", broken)
     arguments = [str(logs / "tuesday" / "flight"), "--output", str(tmp_path)]
-    assert main(arguments) == NO_RESULT  # and not 1, which would say that there is a model
+    assert main(arguments) == NO_RESULT  # not 1, the status of a model that is not usable
     assert "ZeroDivisionError" in capsys.readouterr().err
     with pytest.raises(ZeroDivisionError):
         job.replay(Job(logs / "tuesday" / "flight", "x", tmp_path))
 
 
-def test_a_reader_that_goes_away_does_not_change_the_status(logs: Path, tmp_path: Path) -> None:
+def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) -> None:
     bag = logs / "tuesday" / "flight"
     command = [sys.executable, "-m", "uav_ident_ros.offline", str(bag), "--output", str(tmp_path)]
     reader, writer = os.pipe()
@@ -385,7 +385,7 @@ def test_a_reader_that_goes_away_does_not_change_the_status(logs: Path, tmp_path
 
 
 def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
-    """Run `replay` with a terminal as its error stream; return status and what was shown."""
+    """Run `replay` with a terminal as its error stream; return status and output."""
     command = [sys.executable, "-m", "uav_ident_ros.offline", *arguments]
     nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
     with closing(Terminal(command, 100, **nowhere)) as terminal:
@@ -394,7 +394,7 @@ def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_one_bag_and_many_show_one_bar(count: int, tmp_path: Path) -> None:
+def test_one_bag_and_many_have_one_progress_bar(count: int, tmp_path: Path) -> None:
     bag = str(excerpt(tmp_path / "bag", 8.0))
     status, shown = on_a_terminal([*[bag] * count, "--output", str(tmp_path / "out")])
     assert status in (USABLE, NOT_USABLE), shown
@@ -404,10 +404,10 @@ def test_one_bag_and_many_show_one_bar(count: int, tmp_path: Path) -> None:
     assert (" messages" in shown, " replays" in shown) == (count == 1, count > 1)
 
 
-def test_without_a_terminal_a_line_now_and_then(
+def test_progress_without_a_terminal_has_few_lines(
     monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    now = itertools.count(0.0, 10.0)  # every look at the clock is ten seconds later
+    now = itertools.count(0.0, 10.0)  # each call of the clock advances ten seconds
     monkeypatch.setattr("tqdm.std.time", lambda: next(now))
     assert list(job.Bar(range(8))) == list(range(8))
     shares = [int(share) for share in re.findall(r"(\d+)%", capsys.readouterr().err)]

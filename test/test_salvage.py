@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged bags: a line names the loss, and everything else is used."""
+"""Damaged bags: one line reports the loss, and all other messages are used."""
 
 import math
 import os
@@ -22,13 +22,13 @@ COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]
 
 
 def messages(path: Path) -> tuple[list[tuple[str, int, bytes]], list[str]]:
-    """Messages of a bag, and its damage."""
+    """Return the messages of a bag, and its damage."""
     with Bag(path) as bag:
         return [tuple(m) for m in bag.messages([excerpts.IMU, excerpts.ACTUATORS])], bag.damage
 
 
 def chunk_places(path: Path) -> list[tuple[int, int]]:
-    """Position and length of the chunks."""
+    """Return position and length of the chunks."""
     with path.open("rb") as file:
         indexes = make_reader(file).get_summary().chunk_indexes
     return [(c.chunk_start_offset, c.chunk_length) for c in indexes]
@@ -42,36 +42,36 @@ def spoil(path: Path, position: int, count: int = 40) -> None:
 
 @pytest.fixture(scope="module", params=COMPRESSIONS, ids=lambda c: c.name.lower())
 def flight(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A whole file of many chunks."""
+    """Return an undamaged file of many chunks."""
     path = tmp_path_factory.mktemp("flight") / "flight.mcap"
     return excerpts.rewritten(path, compression=request.param, seconds=SECONDS)
 
 
 @pytest.fixture(scope="module")
 def long_flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A whole file of a flight that is long enough to learn from."""
+    """Return an undamaged file of a flight of sufficient length for a verdict."""
     return excerpts.rewritten(tmp_path_factory.mktemp("long") / "flight.mcap", seconds=40.0)
 
 
 @pytest.fixture
 def copy(flight: Path, tmp_path: Path) -> Path:
-    """A copy of the short flight, to be damaged."""
+    """Return a copy of the short flight, for a test to damage."""
     target = tmp_path / "flight.mcap"
     target.write_bytes(flight.read_bytes())
     return target
 
 
-def test_the_whole_file_is_no_damage(flight: Path) -> None:
+def test_an_undamaged_file_is_read_in_full_and_in_order(flight: Path) -> None:
     found, damage = messages(flight)
     assert len(found) == MESSAGES
     assert damage == []
-    reader = SalvageReader(flight)  # and it reads the same as rosbags, in the same order
+    reader = SalvageReader(flight)  # reads the same as rosbags, in the same order
     saved = [(c.topic, log_ns, data) for c, log_ns, data in reader.messages(reader.connections)]
     assert saved == found
     assert reader.damage == ""
 
 
-def test_chunks_behind_a_torn_place_are_found_without_an_index(flight: Path, copy: Path) -> None:
+def test_chunks_after_a_damaged_record_are_found_without_an_index(flight: Path, copy: Path) -> None:
     """The length of one record is wrong, and the index is gone."""
     whole, _ = messages(flight)
     places = chunk_places(flight)
@@ -92,7 +92,7 @@ def test_cut_off_file_gives_everything_before_the_cut(flight: Path, copy: Path) 
     assert line.startswith("'flight.mcap' is cut off at its end; ")
     assert f"{len(found)} messages were saved" in line
     assert found == whole[: len(found)]
-    # the whole chunks at the least, and most of what is there of the last one
+    # all complete chunks, and most of the last one
     before = len(places) // 2 / len(places) * len(whole)
     assert len(found) > before - 50
     if b"zstd" not in flight.read_bytes() and b"lz4" not in flight.read_bytes():
@@ -100,7 +100,7 @@ def test_cut_off_file_gives_everything_before_the_cut(flight: Path, copy: Path) 
 
 
 @pytest.mark.parametrize("where", ["content", "length and content"])
-def test_bad_chunk_is_left_out_and_the_rest_is_used(where: str, flight: Path, copy: Path) -> None:
+def test_a_bad_chunk_is_omitted_and_the_rest_is_used(where: str, flight: Path, copy: Path) -> None:
     whole, _ = messages(flight)
     places = chunk_places(flight)
     position, length = places[len(places) // 3]
@@ -121,12 +121,12 @@ def test_bad_chunk_is_left_out_and_the_rest_is_used(where: str, flight: Path, co
 
 
 @pytest.mark.parametrize("profile", [False, True])
-def test_a_bad_index_or_profile_costs_nothing(profile: bool, flight: Path, copy: Path) -> None:
+def test_a_bad_index_or_profile_loses_no_message(profile: bool, flight: Path, copy: Path) -> None:
     whole, _ = messages(flight)
     if profile:
         copy.write_bytes(copy.read_bytes().replace(b"ros2", b"xxxx", 1))
     else:
-        spoil(copy, copy.stat().st_size - 28, 8)  # in the footer: where the index begins
+        spoil(copy, copy.stat().st_size - 28, 8)  # in the footer: the start of the index
     found, (line,) = messages(copy)
     assert found == whole
     assert line.endswith("yet all of it was read")
@@ -134,7 +134,7 @@ def test_a_bad_index_or_profile_costs_nothing(profile: bool, flight: Path, copy:
 
 
 @pytest.mark.parametrize("cut", [False, True])
-def test_file_without_chunks(cut: bool, tmp_path: Path) -> None:
+def test_a_file_without_chunks_is_read_up_to_its_cut(cut: bool, tmp_path: Path) -> None:
     path = excerpts.rewritten(tmp_path / "flight.mcap", use_chunking=False, seconds=10.0)
     whole, damage = messages(path)
     assert (len(whole), damage) == (2502, [])
@@ -147,7 +147,7 @@ def test_file_without_chunks(cut: bool, tmp_path: Path) -> None:
 
 
 def split(folder: Path, count: int, each: int, compress: bool = False) -> list[tuple]:
-    """Write the start of a flight as some files in one folder; return its messages."""
+    """Write the start of a flight into several files of a folder; return its messages."""
     folder.mkdir()
     with Bag(excerpts.BAGS / "multisine") as bag:
         whole = [tuple(m) for m in bag.messages(excerpts.TYPES)][: count * each]
@@ -162,7 +162,7 @@ def split(folder: Path, count: int, each: int, compress: bool = False) -> list[t
     return whole
 
 
-def test_one_bad_file_of_a_split_recording(tmp_path: Path) -> None:
+def test_a_bad_file_of_a_split_recording_is_omitted(tmp_path: Path) -> None:
     whole = split(tmp_path / "split", 3, 700)
     (tmp_path / "split" / "split_1.mcap").write_bytes(b"\0" * 5000)
     found, (line,) = messages(tmp_path / "split")
@@ -171,8 +171,8 @@ def test_one_bad_file_of_a_split_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compress", [False, True])
-def test_bad_chunk_in_a_folder_of_two_files(compress: bool, tmp_path: Path) -> None:
-    """As rosbag2 records: chunks of a megabyte, no checksums, metadata that know nothing of it."""
+def test_a_bad_chunk_in_one_of_two_files_is_omitted(compress: bool, tmp_path: Path) -> None:
+    """The form is that of rosbag2: chunks of a megabyte, no checksums, unaffected metadata."""
     folder = tmp_path / "flight"
     whole = split(folder, 2, 6000, compress)
     text = (tmp_path / "flight_0" / "metadata.yaml").read_text()
@@ -184,7 +184,7 @@ def test_bad_chunk_in_a_folder_of_two_files(compress: bool, tmp_path: Path) -> N
     spoil(file, position + length // 2, 2000)
     with Bag(folder) as bag:
         found = [tuple(m) for m in bag.messages(excerpts.TYPES)]
-        assert [tuple(m) for m in bag.messages(excerpts.TYPES)] == found  # and again
+        assert [tuple(m) for m in bag.messages(excerpts.TYPES)] == found  # also when repeated
         (line,) = bag.damage
     assert found[:6000] == whole[:6000]
     assert found[-2000:] == whole[-2000:]
@@ -192,7 +192,7 @@ def test_bad_chunk_in_a_folder_of_two_files(compress: bool, tmp_path: Path) -> N
     assert line.startswith("'flight_1.mcap' is damaged: 1 of ")
 
 
-def test_nothing_to_be_saved(flight: Path, copy: Path) -> None:
+def test_a_file_without_a_readable_message_is_refused(flight: Path, copy: Path) -> None:
     copy.write_bytes(flight.read_bytes()[: chunk_places(flight)[0][0] + 20])
     with pytest.raises(BagError, match=r"cannot be read: 'flight\.mcap': .*no message to be saved"):
         Bag(copy)
@@ -207,7 +207,7 @@ def replayed(bag: Path, output: Path, *options: str) -> tuple[int, dict[str, Any
 
 
 @pytest.mark.parametrize("hole", [True, False])
-def test_replay_of_a_damaged_bag(
+def test_replay_of_a_damaged_bag_notes_the_damage_and_is_usable(
     hole: bool, long_flight: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     damaged = tmp_path / "flight.mcap"
@@ -226,7 +226,7 @@ def test_replay_of_a_damaged_bag(
     assert summary["coefficients"]["pdot/da"]["value"] == pytest.approx(60.0, rel=0.05)
 
 
-def test_damage_is_printed_where_it_leaves_no_result(
+def test_damage_is_printed_if_there_is_no_result(
     flight: Path, copy: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     copy.write_bytes(flight.read_bytes()[: flight.stat().st_size // 2])
@@ -237,7 +237,7 @@ def test_damage_is_printed_where_it_leaves_no_result(
     assert "has no topic '/gyro'" in second
 
 
-def test_actuators_that_start_late_and_stop_early(tmp_path: Path) -> None:
+def test_actuators_shorter_than_the_imu_are_noted(tmp_path: Path) -> None:
     def some(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
         there = 5.0 <= (at - excerpts.START_NS) * 1e-9 <= 39.0
         return [(topic, at, message)] if topic == excerpts.IMU or there else []
@@ -256,7 +256,7 @@ def test_actuators_that_start_late_and_stop_early(tmp_path: Path) -> None:
 ARMED = "std_msgs/msg/Bool"
 
 
-def test_the_verdict_of_a_flight_outlasts_its_landing(tmp_path: Path, capsys: Capture) -> None:
+def test_the_verdict_of_a_flight_holds_after_its_landing(tmp_path: Path, capsys: Capture) -> None:
     landing_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
 
     def landed(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
@@ -273,7 +273,7 @@ def test_the_verdict_of_a_flight_outlasts_its_landing(tmp_path: Path, capsys: Ca
     assert "as of 36.0 s: nothing was learned after" in capsys.readouterr().out
 
 
-def test_the_verdict_of_a_flight_outlasts_the_airspeed_of_its_landing(tmp_path: Path) -> None:
+def test_the_verdict_holds_after_the_airspeed_falls_at_landing(tmp_path: Path) -> None:
     landing_ns, number = excerpts.START_NS + 36 * excerpts.SECOND_NS, "std_msgs/msg/Float64"
 
     def landed(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
@@ -287,11 +287,11 @@ def test_the_verdict_of_a_flight_outlasts_the_airspeed_of_its_landing(tmp_path: 
     assert excerpts.replay(bag_path, output, by=params) == USABLE
     summary = excerpts.summary(output)
     assert summary["state"] == "paused"
-    # four ticks are learned from at once
+    # the estimator learns in batches of four ticks
     assert summary["judged_ns"] == pytest.approx(landing_ns, abs=excerpts.SECOND_NS // 4)
 
 
-def test_a_fault_at_the_end_is_what_counts(tmp_path: Path) -> None:
+def test_a_fault_at_the_end_determines_the_verdict(tmp_path: Path) -> None:
     end_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
 
     def in_degrees(topic: str, at: int, message: Any) -> None:
@@ -306,7 +306,7 @@ def test_a_fault_at_the_end_is_what_counts(tmp_path: Path) -> None:
     assert "deg" in summary["doubt"]
 
 
-def test_actuators_that_are_announced_but_never_come(tmp_path: Path) -> None:
+def test_an_actuator_topic_without_messages_is_noted(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "silent") as writer:
         for topic, name in excerpts.TYPES.items():
             writer.topic(topic, name)
@@ -318,7 +318,7 @@ def test_actuators_that_are_announced_but_never_come(tmp_path: Path) -> None:
     assert summary["notes"] == ["/actuators has no messages that could be used: nothing is learned"]
 
 
-def test_two_imus_one_of_them_by_its_name(tmp_path: Path) -> None:
+def test_of_two_imu_topics_the_one_with_the_default_name_is_read(tmp_path: Path) -> None:
     def doubled(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
         return [(topic, at, message)] + ([("/imu_2", at, message)] if topic == excerpts.IMU else [])
 
@@ -330,7 +330,7 @@ def test_two_imus_one_of_them_by_its_name(tmp_path: Path) -> None:
     ]
 
 
-def test_two_imus_on_one_topic(tmp_path: Path) -> None:
+def test_two_imus_on_one_topic_are_noted(tmp_path: Path) -> None:
     def mixed(topic: str, at: int, message: Any) -> None:
         if topic == excerpts.IMU and at % 20_000_000 == 0:
             message.header.frame_id = "imu_2"
@@ -341,8 +341,8 @@ def test_two_imus_on_one_topic(tmp_path: Path) -> None:
     assert "'imu_2'" in note
 
 
-def test_messages_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
-    """The first of each topic has no byte at all, others are cut off."""
+def test_unreadable_messages_are_counted(tmp_path: Path) -> None:
+    """The first message of each topic is empty; some others are truncated."""
     bag = tmp_path / "bag"
     with Bag(excerpts.BAGS / "multisine") as source, BagWriter(bag) as writer:
         for topic, name in excerpts.TYPES.items():
@@ -359,7 +359,7 @@ def test_messages_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
     assert summary["ticks"] > 90
 
 
-def test_what_is_no_file_on_a_disk(tmp_path: Path, capsys: Capture) -> None:
+def test_a_path_that_is_no_file_or_folder_is_refused(tmp_path: Path, capsys: Capture) -> None:
     os.mkfifo(tmp_path / "pipe.mcap")
     for path in (tmp_path / "pipe.mcap", Path("/dev/zero")):
         assert replayed(path, tmp_path / "out") == (NO_RESULT, {})
