@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every command of the documentation that needs neither ROS nor a cluster runs as it is printed.
+"""Every printed command of the documentation runs, except for those of ROS or a cluster.
 
-On short flights, in a folder with the names that the pages use. Run by .ci/run:
+The flights are short, in a folder with the names of the pages. Run by .ci/run:
 
     scripts/test -m campaign test/test_commands.py
 """
@@ -29,7 +29,7 @@ ELSEWHERE = re.compile(r"^(?:ros2|scripts/|\.venv/bin/monitor) |--scheduler", re
 
 
 def runnable(page: Path) -> list[str]:
-    """Blocks of a page to be run; of those with other programs none."""
+    """Return the blocks of a page to be run, without those of other programs."""
     blocks = code_blocks(text_of(page))
     return [b for b in blocks if RUNNABLE.search(b) and not ELSEWHERE.search(b)]
 
@@ -39,7 +39,7 @@ PAGES = [page for page in (README, *DOCS) if runnable(page)]
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """What the commands name: bags, a folder of flights, a log, a vehicle's parameters."""
+    """Create the files of the commands: bags, a folder of flights, a log, parameters."""
     for bag in (path for path in BAGS.iterdir() if (path / "metadata.yaml").exists()):
         excerpt(tmp_path / "bags" / bag.name, SECONDS, bag.name)
         shutil.copy(bag / "identifier.yaml", tmp_path / "bags" / bag.name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every ready configuration loads, names what to enable, and maps the channels rightly."""
+"""Every shipped configuration loads, names what to enable, and maps its channels correctly."""
 
 from pathlib import Path
 
@@ -24,14 +24,14 @@ def settings(name: str) -> Settings:
 
 
 @pytest.mark.parametrize("path", sorted(CONFIG.glob("*.yaml")), ids=lambda path: path.stem)
-def test_it_loads_and_the_identifier_takes_it(path: Path) -> None:
+def test_every_configuration_loads_and_is_valid_for_the_identifier(path: Path) -> None:
     values = load_parameters(path, "/drone1/identifier")
     assert values
     OnlineIdentifier(Settings.from_values(values))
 
 
 @pytest.mark.parametrize("path", VEHICLES, ids=lambda path: path.stem)
-def test_its_types_fields_and_axes_agree(path: Path) -> None:
+def test_types_fields_and_axes_of_a_configuration_are_consistent(path: Path) -> None:
     own = settings(path.stem)
     ActuatorReader(own.actuators)  # field and named channels are checked against the type
     assert ACTUATORS[own.actuators.type]
@@ -46,13 +46,13 @@ def is_normalised(name: str) -> bool:
     return "normalised" in ACTUATORS[settings(name).actuators.type].unit
 
 
-def test_only_normalised_commands_have_a_range_that_is_known_beforehand() -> None:
+def test_only_normalised_commands_have_configured_limits() -> None:
     limited = {path.stem for path in VEHICLES if settings(path.stem).actuators.lower_limit}
     assert limited == {path.stem for path in VEHICLES if is_normalised(path.stem)} != set()
 
 
 @pytest.mark.parametrize("name", [path.stem for path in VEHICLES if is_normalised(path.stem)])
-def test_limits_fit_the_channels_and_stop_what_is_wild(name: str) -> None:
+def test_limits_match_the_channels_and_detect_values_beyond(name: str) -> None:
     actuators = settings(name).actuators
     low, high = np.array(actuators.lower_limit), np.array(actuators.upper_limit)
     assert len(low) == len(high) == len(actuators.channels)
@@ -72,28 +72,28 @@ def test_limits_fit_the_channels_and_stop_what_is_wild(name: str) -> None:
         # pulse widths become radians
         *((name, {0: 100.0, 1: -200.0}, [0.1, -0.2, 0.0, 0.0]) for name in ("px4", "mavros")),
         *((name, {2: 100.0, 3: 250.0}, [0.0, 0.0, 0.1, 0.25]) for name in ("px4", "mavros")),
-        # elevons together pitch, and against each other roll
+        # symmetric elevons pitch, antisymmetric elevons roll
         ("mavros_elevon", {0: 100.0, 1: -100.0}, [0.1, 0.0, 0.0, 0.0]),
         ("mavros_elevon", {0: 100.0, 1: 100.0}, [0.0, 0.0, 0.1, 0.0]),
         ("gazebo", {2: 0.2, 3: -0.2}, [0.0, 0.0, 0.2, 0.0]),  # ailerons roll right
     ],
 )
-def test_channels_off_trim_are_the_inputs(
+def test_deviations_from_trim_map_to_the_inputs(
     name: str, raw: dict[int, float], expected: list[float]
 ) -> None:
-    """The used channels, by position."""
+    """Channels are given by position."""
     mapping = InputMap(settings(name).actuators)
     values = mapping.trim.copy()
     values[list(raw)] += list(raw.values())
     np.testing.assert_allclose(mapping.apply(values), expected, atol=1e-15)
 
 
-def test_the_channels_of_pulse_widths_are_those_of_the_airframe() -> None:
+def test_pulse_widths_have_the_channel_order_of_the_airframe() -> None:
     assert {settings(name).actuators.channels for name in ("px4", "mavros")} == {(1, 3, 0, 2)}
 
 
 @pytest.mark.parametrize("name", ["px4_quadrotor", "gazebo_quadrotor"])
-def test_motors_are_mixed_as_in_the_simulation(name: str) -> None:
+def test_motors_have_the_mixing_of_the_simulation(name: str) -> None:
     actuators = settings(name).actuators
     mixing = InputMap(actuators).matrix / np.array(actuators.scale or (1.0,) * 4)
     np.testing.assert_allclose(mixing, QUADROTOR.mixing, atol=1e-12)

@@ -54,7 +54,7 @@ PAGES = [
     *DOCS,
 ]
 PACKAGE = ROOT / "uav_ident_ros"
-# Top-level names of files and folders of this repository, as the pages write them.
+# Top-level files and folders of this repository, in the notation of the pages.
 OURS = re.compile(
     r"^(?:scripts|config|bags|docs|test|launch|benchmarks|uav_ident_ros|requirements|\.ci)/\S+$"
 )
@@ -103,7 +103,7 @@ def test_generated_tables_are_in_step_and_hold_every_parameter() -> None:
         assert f"| `{setting.name}` |" in rows
 
 
-# --- what the pages name exists --------------------------------------------------------------
+# --- links, files and commands ---------------------------------------------------------------
 
 
 def anchors(text: str) -> set[str]:
@@ -125,7 +125,7 @@ def test_no_relative_link_is_dead(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)
-def test_every_file_that_is_named_exists(page: Path) -> None:
+def test_every_named_file_exists(page: Path) -> None:
     text = text_of(page)
     words = re.findall(r"`([^`\n]+)`", without_code(text))
     words += [word for line in command_lines(text) for word in line.split()]
@@ -136,7 +136,7 @@ def test_every_file_that_is_named_exists(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", [README, *DOCS], ids=page_id)
-def test_every_command_exists_and_knows_its_options(page: Path) -> None:
+def test_every_command_exists_with_its_options(page: Path) -> None:
     executables = console_scripts()
     for line in command_lines(text_of(page)):
         words = shlex.split(line, comments=True) if line.count("'") % 2 == 0 else line.split()
@@ -157,7 +157,7 @@ def test_every_command_exists_and_knows_its_options(page: Path) -> None:
 
 
 def check_options(page: Path, name: str, module: str, words: list[str]) -> None:
-    """Hold the options of a command against its help."""
+    """Compare the options of a command with its help."""
     if name == "identifier":
         assert words[0] == "--ros-args"
         return
@@ -172,12 +172,12 @@ def help_of(module: str) -> str:
     return re.sub(r"[\[\],]", " ", python("-m", module, "--help", check=True).stdout)
 
 
-def test_the_executables_listed_are_those_installed() -> None:
+def test_the_readme_lists_the_installed_executables() -> None:
     table = text_of(README).split("| executable |")[1].split("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == set(console_scripts())
 
 
-def test_the_two_commands_open_the_readme_which_is_two_screens() -> None:
+def test_the_readme_starts_with_two_commands_and_is_short() -> None:
     assert code_blocks(text_of(README))[0].split() == ["scripts/demo", "scripts/test"]
     assert len(text_of(README).encode()) < LARGEST_README
 
@@ -204,12 +204,12 @@ rclpy.shutdown()
 
 HEADERS = {"topics": "| topic | type | QoS | content |", "services": "| service | type | effect |"}
 
-# What every rclpy node has.
+# Topics and services of every rclpy node.
 OF_EVERY_NODE = re.compile(r"^/(rosout|parameter_events|clock)$|parameter|type_description")
 
 
 def listed(header: str) -> dict[str, str]:
-    """Full name and type of every row below a table header of the interface."""
+    """Return full name and type of every row below a table header of the interface."""
     rows = {}
     for table in text_of(INTERFACE).split(header)[1:]:
         body = table.split("\n\n")[0]
@@ -219,7 +219,7 @@ def listed(header: str) -> dict[str, str]:
     return rows
 
 
-def test_topics_and_services_of_the_interface_are_those_of_the_node() -> None:
+def test_the_interface_page_lists_the_topics_and_services_of_the_node() -> None:
     done = python("-c", QUERY_NODE, check=True)
     line = next(line for line in done.stdout.splitlines() if line.startswith("FOUND "))
     for kind, entries in json.loads(line.removeprefix("FOUND ")).items():
@@ -230,7 +230,7 @@ def test_topics_and_services_of_the_interface_are_those_of_the_node() -> None:
 # --- examples --------------------------------------------------------------------------------
 
 
-def test_every_parameter_file_of_the_pages_is_accepted(tmp_path: Path) -> None:
+def test_every_parameter_file_of_the_pages_is_valid(tmp_path: Path) -> None:
     path = tmp_path / "vehicle.yaml"
     blocks = [block for page in (README, *DOCS) for block in code_blocks(text_of(page), "yaml")]
     assert blocks

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The launch files: their arguments, nodes and order; started by `ros2 launch` where there is one.
+"""The launch files: arguments, nodes and order, with `ros2 launch` where available.
 
-Everything but the last tests runs without launch, which is not on PyPI.
+All but the last tests run without launch, which is not on PyPI.
 """
 
 import importlib
@@ -56,13 +56,13 @@ def test_every_input_can_be_renamed(name: str) -> None:
     assert all(defaults[argument] == before + topic for topic, argument in arguments.items())
     assert node["executable"] in console_scripts() and node["package"] == PACKAGE
     *_, file = defaults["params_file"].args[0]
-    assert file == "identifier.yaml"  # the defaults, not those of a vehicle or the paper
+    assert file == "identifier.yaml"  # the defaults, not the values of a vehicle or the paper
     assert (ROOT / "config" / file).is_file()
 
 
 @EACH
-def test_it_checks_before_it_starts_and_watches_every_process(path: Path) -> None:
-    """What is started before an error would be left behind."""
+def test_files_are_checked_before_the_start_and_every_exit_is_handled(path: Path) -> None:
+    """A process started before an error would keep running."""
     made = launch_entries(path)
     kinds = [m.kind for m in made]
     first = min(k for k, kind in enumerate(kinds) if kind in PROCESSES)
@@ -89,9 +89,9 @@ def test_it_checks_before_it_starts_and_watches_every_process(path: Path) -> Non
     with pytest.raises(Exception, match="'identifier' ended with status -9"):
         end(-9)
     if path.name == "identifier.launch.py":
-        end(-9, "true")  # it is started again
+        end(-9, "true")  # the process is restarted
         with pytest.raises(Exception, match="status 2"):
-            end(2, "true")  # wrongly started: again would not help
+            end(2, "true")  # wrong parameters: a restart is useless
 
 
 def test_a_bag_is_played_on_its_own_clock_and_the_nodes_topics_are_recorded() -> None:
@@ -105,13 +105,13 @@ def test_a_bag_is_played_on_its_own_clock_and_the_nodes_topics_are_recorded() ->
     for topic in ("/imu/data", "/clock", "/rosout", "/other/diagnostics_agg"):
         assert not re.search(pattern, topic)
     words = [word.args[0] if isinstance(word, Made) and word.args else word for word in player[1:]]
-    # what follows an option without a value would be taken for it
+    # an option without a value would consume the next argument
     assert words[:5] == ["bag", "play", "bag", "--clock", "clock_rate"]
     (node,) = nodes(launch_file("replay"))
     assert node["parameters"][1] == {"use_sim_time": True, "state_file": "none"}
 
 
-def test_the_closed_loop_starts_nodes_that_are_there_with_a_section_for_each() -> None:
+def test_the_closed_loop_starts_existing_nodes_with_parameter_sections() -> None:
     made = launch_file("closed_loop")
     started = {node["executable"]: node for node in nodes(made)}
     assert set(started) <= set(console_scripts())
@@ -129,7 +129,7 @@ def test_the_closed_loop_starts_nodes_that_are_there_with_a_section_for_each() -
         if m.args[0] in ("params_file", "coefficients_file")
     }
     sections = yaml.safe_load(paths["params_file"].read_text())
-    # a node refuses a file that has nothing for it
+    # a node refuses a file without a section of it
     assert {key.rpartition("/")[2] for key in sections} == names
     assert Coefficients.from_file(paths["coefficients_file"]).known.any()
 
@@ -139,7 +139,7 @@ def test_the_closed_loop_starts_nodes_that_are_there_with_a_section_for_each() -
 
 @EACH
 def test_launch_description_builds(path: Path) -> None:
-    # not "launch": to `python -m pytest` that is the folder of the launch files
+    # not "launch": with `python -m pytest` that is the folder of the launch files
     pytest.importorskip("launch.actions", reason="launch comes with apt ROS only")
     launch = importlib.import_module("launch")
     description = runpy.run_path(str(path))["generate_launch_description"]()
@@ -148,7 +148,7 @@ def test_launch_description_builds(path: Path) -> None:
 
 
 def launched(path: Path, *arguments: str) -> str:
-    """The output of a launch that ends with status 1; skip where no `ros2` knows this package."""
+    """Return the output of a launch that ends with status 1; skip if `ros2` lacks this package."""
     known = ["ros2", "pkg", "prefix", PACKAGE]
     if shutil.which("ros2") is None or subprocess.run(known, capture_output=True).returncode:
         pytest.skip("there is no ros2 with this package here")
@@ -159,16 +159,16 @@ def launched(path: Path, *arguments: str) -> str:
 
 
 @EACH
-def test_launch_ends_aloud_without_its_parameter_file(path: Path, tmp_path: Path) -> None:
-    """launch_ros itself warns, and starts the node on its defaults."""
+def test_launch_ends_with_an_error_without_its_parameter_file(path: Path, tmp_path: Path) -> None:
+    """launch_ros only warns, and starts the node with its defaults."""
     bag = [f"bag:={tmp_path}"] if path.name == "replay.launch.py" else []
     printed = launched(path, f"params_file:={tmp_path / 'none.yaml'}", *bag)
     assert f"params_file '{tmp_path / 'none.yaml'}': there is no such file" in printed
     assert "process started" not in printed
 
 
-def test_launch_ends_with_a_dead_process(tmp_path: Path) -> None:
-    """The identifier refuses the file with status 2; launch fails by its own."""
+def test_launch_ends_with_an_error_when_the_identifier_ends(tmp_path: Path) -> None:
+    """The identifier refuses the file with status 2; launch has a separate error status."""
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n")
     path = ROOT / "launch" / "identifier.launch.py"

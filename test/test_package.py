@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The package as others install it: metadata, dependencies, entry points, file headers."""
+"""The installed package: metadata, dependencies, entry points, file headers."""
 
 import ast
 import configparser
@@ -34,16 +34,16 @@ ROSDEP_KEYS = {"yaml": "python3-yaml"} | {
     for name in ("hypothesis", "jinja2", "markupsafe", "matplotlib", "numpy", "pytest", "rich",
                  "scipy", "tqdm")
 }  # fmt: skip
-# Development extras without a rosdep key: allowed only inside a function, so that the module
-# loads without them. lz4 and zstandard come with mcap.
+# Development extras without a rosdep key: imported only inside functions, so that the module
+# loads without them. lz4 and zstandard are dependencies of mcap.
 OPTIONAL = {
     "PIL", "distributed", "jsbsim", "lz4", "orangebox", "padasip", "pymavlink",
     "pyulog", "zstandard",
 }  # fmt: skip
-# What the tools for the ground need and apt does not have: extras of setup.py, never package.xml.
+# Packages of the ground tools that apt lacks: extras of setup.py, never in package.xml.
 PIP_ONLY = {"bokeh", "mcap", "pyarrow", "rosbags"}
-# What a companion computer need not have: the node must never import these. PyYAML is not
-# among them: rclpy itself imports it.
+# Packages that a companion computer may lack: the node must never import them. PyYAML is not
+# among them, since rclpy imports it.
 OFFLINE_ONLY = {"jinja2", "markupsafe", "matplotlib", "rich", "scipy", "tqdm"} | PIP_ONLY | OPTIONAL
 
 
@@ -56,7 +56,7 @@ def dependencies(*tags: str) -> set[str]:
 
 
 def project_files() -> list[Path]:
-    """Return the files under version control and those about to be."""
+    """Return the files under version control, and new files that are not ignored."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     listing = subprocess.run(command, cwd=ROOT, capture_output=True, check=False)
     if listing.returncode:
@@ -74,7 +74,7 @@ def imports(path: Path, *, lazy: bool) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.module and not node.level, f"{path} has a relative import"
-            # `from package import module` names a module, too
+            # `from package import module` also imports a module
             yield from (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
         if lazy or not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             pending.extend(ast.iter_child_nodes(node))
@@ -95,8 +95,8 @@ def loaded_with(*modules: str) -> set[Path]:
 RUNTIME_FILES = sorted((ROOT / PACKAGE).rglob("*.py")) + sorted((ROOT / "launch").glob("*.py"))
 
 
-def test_shared_files_are_found_where_it_is_installed(tmp_path: Path):
-    """The demo and the closed loop run from an installation too."""
+def test_shared_files_are_found_in_an_installation(tmp_path: Path):
+    """The demo and the closed loop use them."""
     installed = tmp_path / "lib" / "python3.12" / "site-packages" / PACKAGE / "share.py"
     installed.parent.mkdir(parents=True)
     shutil.copy(ROOT / PACKAGE / "share.py", installed)
@@ -126,7 +126,7 @@ def test_names_licences_and_versions_agree():
 
 
 def test_bloom_can_read_the_manifest_and_the_changelog():
-    """With catkin_pkg, which bloom reads both with; `catkin_prepare_release` renames the label."""
+    """Bloom reads both with catkin_pkg; `catkin_prepare_release` renames the label."""
     package = pytest.importorskip("catkin_pkg.package", reason="comes with colcon-ros")
     warnings: list[str] = []
     read = package.parse_package(str(ROOT), warnings=warnings)
@@ -138,7 +138,7 @@ def test_bloom_can_read_the_manifest_and_the_changelog():
     assert label == "Forthcoming" or read.version in released
 
 
-def test_the_workflow_runs_what_is_here():
+def test_the_workflow_calls_existing_files():
     """Every script and executable that the public forge's workflow calls exists."""
     (path,) = (ROOT / ".github" / "workflows").glob("*.yml")
     jobs = yaml.safe_load(path.read_text())["jobs"]
@@ -151,8 +151,8 @@ def test_the_workflow_runs_what_is_here():
         assert (ROOT / "launch" / name).is_file()
 
 
-def test_the_unit_of_the_documentation_fits_the_node():
-    """systemd must wait for the state file, and must not start again what was started wrongly."""
+def test_the_documented_systemd_unit_matches_the_node():
+    """systemd must wait for the state file, and must not restart after wrong parameters."""
     text = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
     unit = configparser.ConfigParser()
     unit.optionxform = str
@@ -166,7 +166,7 @@ def test_the_unit_of_the_documentation_fits_the_node():
 
 def test_entry_points_are_callable_and_shadow_nothing():
     scripts = console_scripts()
-    assert {"identifier", "replay", "simulate"} <= set(scripts)  # the contract's
+    assert {"identifier", "replay", "simulate"} <= set(scripts)  # of the public contract
     # a name that is a keyword cannot be a module, and .venv/bin must not hide a program
     assert not {"import", "watch", "test", "python"} & set(scripts)
     for target in scripts.values():
@@ -174,13 +174,13 @@ def test_entry_points_are_callable_and_shadow_nothing():
         assert callable(getattr(importlib.import_module(module), function)), target
 
 
-def test_pip_requirements_leave_ros_alone():
-    """The PyPI names of rclpy must stay out: with apt ROS they cannot be satisfied."""
+def test_pip_requirements_exclude_ros():
+    """The PyPI names of rclpy are excluded: apt ROS cannot satisfy them."""
     arguments = setup_arguments()
     extras = arguments["extras_require"]
     everything = [*arguments["install_requires"], *chain.from_iterable(extras.values())]
     assert not [name for name in everything if name.startswith("ros-")]
-    assert "pytest" in extras["test"]  # colcon runs pytest because of this very name
+    assert "pytest" in extras["test"]  # by this name colcon selects pytest
 
 
 def test_manifest_lists_what_is_imported():
@@ -201,8 +201,8 @@ def test_development_extras_are_imported_lazily():
     assert not [path for path in RUNTIME_FILES if third_party(path, lazy=False) & OPTIONAL]
 
 
-def test_manifest_names_only_what_apt_has():
-    """Bloom makes no deb of a pip key, and on Ubuntu 24.04 rosdep may not call pip at all."""
+def test_manifest_names_only_packages_of_apt():
+    """Bloom cannot package a pip key, and rosdep may not call pip on Ubuntu 24.04."""
     keys = dependencies("depend", "build_depend", "exec_depend", "test_depend")
     # mcap-ros2-support is a pip key on Ubuntu 24.04 (rosdistro, rosdep/python.yaml)
     assert not {key for key in keys if key.endswith("-pip") or key == "mcap-ros2-support"}
@@ -283,10 +283,10 @@ def test_locks_fix_every_version():
         assert not [line for line in pins if not re.match(r"[\w.-]+==[\w.]+( ;|$)", line)]
 
 
-def test_programs_side_by_side_get_domains_of_their_own() -> None:
+def test_concurrent_programs_have_separate_ros_domains() -> None:
     before = os.environ["ROS_DOMAIN_ID"]
     with own_domain() as first, own_domain() as second:
         assert first != second
-        assert before not in (str(first), str(second))  # which this process holds
+        assert before not in (str(first), str(second))  # held by this process
         assert os.environ["ROS_DOMAIN_ID"] == str(second)
     assert os.environ["ROS_DOMAIN_ID"] == before
