@@ -20,7 +20,7 @@ BAGS = ROOT / "bags"
 IMU, ACTUATORS = "/imu/data", "/actuators"
 SECOND_NS = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND_NS
-"""When the flight of every committed bag begins."""
+"""Start of the flight in every committed bag, ns."""
 
 PARAMETERS = BAGS / "multisine" / "identifier.yaml"
 

@@ -20,13 +20,13 @@ from repository import ROOT
 from uav_ident_ros.process import NodeProcess
 
 PATIENCE = 120.0
-"""Seconds after which something that must happen is missed: nothing waits for them otherwise, and
-a machine with much other work may need them."""
+"""Time limit of expected events, s. A test waits that long only on failure; a busy machine may
+need the time."""
 
 StartNode = Callable[..., NodeProcess]
 
 Capture = pytest.CaptureFixture[str]
-"""What a test reads that a program printed."""
+"""Fixture with the output of a program."""
 
 
 def python(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:

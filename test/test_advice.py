@@ -83,7 +83,7 @@ def one_of_three(value: float, otherwise: float) -> Any:
 E = good()
 SURE = E.delay
 FINDING = Settings.from_values({"structure": "augmented", "actuators.estimate_delay": True})
-"""Settings of somebody who has the delay found, as an imported log's are."""
+"""Settings with estimation of the delay, as for an imported log."""
 QUAD = Settings.from_values(
     {
         "structure": "augmented",

@@ -21,7 +21,7 @@ from test_docs import DOCS, README, code_blocks, page_id, text_of
 from uav_ident_ros.offline import NOT_USABLE
 
 SECONDS = 12.0
-"""Length of the flights: a model need not be usable."""
+"""Length of the flights, s: the models may be unusable."""
 
 PROGRAMS = ("fleet", "import_log", "replay", "simulate")
 RUNNABLE = re.compile(rf"\.venv/bin/(?:{'|'.join(PROGRAMS)}) ")

@@ -44,7 +44,7 @@ README = ROOT / "README.md"
 PARAMETERS = ROOT / "docs" / "parameters.md"
 INTERFACE = ROOT / "docs" / "interface.md"
 LARGEST_README = 9_000
-"""Bytes: two screens."""
+"""Limit in bytes: two screens."""
 
 DOCS = sorted((ROOT / "docs").glob("*.md"))
 PAGES = [
@@ -200,7 +200,7 @@ print("FOUND " + json.dumps(found))
 node.destroy_node()
 rclpy.shutdown()
 """
-"""Ask the node itself, with every optional input on: names and types are then rclpy's, no guess."""
+"""Program that prints the names and types of a real node with every optional input."""
 
 HEADERS = {"topics": "| topic | type | QoS | content |", "services": "| service | type | effect |"}
 

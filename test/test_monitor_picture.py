@@ -162,7 +162,7 @@ def styles(result: WatchedNode) -> dict[str, str]:
     return {segment.text.strip(): str(segment.style) for segment in segments}
 
 
-def test_good_and_bad_differ_in_colour() -> None:
+def test_good_and_bad_states_differ_in_colour() -> None:
     found = styles(received()[0])
     assert found["usable"] == "bold green"
     assert found["fit 84 %"] == "green"
@@ -211,7 +211,7 @@ def test_a_trend_is_more_than_a_standard_deviation() -> None:
         assert Coefficient("pdot/p", past[-1], sigma, past).trend == trend
 
 
-def fed(*ticks: tuple[float, float]) -> WatchedNode:
+def watched(*ticks: tuple[float, float]) -> WatchedNode:
     """Return a watched node whose `pdot/p` had these values at these times, s."""
     result = WatchedNode("/identifier")
     for t, value in ticks:
@@ -222,7 +222,7 @@ def fed(*ticks: tuple[float, float]) -> WatchedNode:
 def test_a_trend_covers_ten_seconds_and_restarts_on_a_backward_time_jump() -> None:
     def damping(*ticks: tuple[float, float]) -> Coefficient:
         """Return the coefficient `pdot/p` of the view."""
-        (found,) = [c for c in fed(*ticks).rows()["pdot"] if c.name == "pdot/p"]
+        (found,) = [c for c in watched(*ticks).rows()["pdot"] if c.name == "pdot/p"]
         return found
 
     rising = [(1.0 + 0.05 * k, 0.05 * k) for k in range(1000)]
@@ -235,7 +235,7 @@ def test_a_trend_covers_ten_seconds_and_restarts_on_a_backward_time_jump() -> No
 
 
 def test_past_values_are_drawn_if_width_and_encoding_permit() -> None:
-    result = fed(*((1.0 + 0.5 * k, 0.1 * k) for k in range(20)))
+    result = watched(*((1.0 + 0.5 * k, 0.1 * k) for k in range(20)))
     wide = text(result, 120)
     assert "▁" in wide and "█" in wide and "↗" in wide
     assert "█" not in text(result, 80)
@@ -250,7 +250,7 @@ def test_modes_follow_from_the_published_coefficients() -> None:
         "pdot/p": -9.0, "pdot/beta": -25.0, "qdot/q": -6.0, "qdot/alpha": -40.0, "rdot/r": -1.8,
         "rdot/beta": 12.0, "ay/beta": -12.0, "az/alpha": -100.0, "state/airspeed": 20.0,
     }  # fmt: skip
-    result = fed()
+    result = watched()
     result.take(published(SECOND_NS, structure.name, known, 0.0))
     # the characteristic polynomial of q and alpha: s^2 + (6 + 5) s + 6 * 5 + 40
     assert "modes     short period 8.4 ζ.66, " in text(result)

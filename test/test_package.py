@@ -183,7 +183,7 @@ def test_pip_requirements_exclude_ros():
     assert "pytest" in extras["test"]  # by this name colcon selects pytest
 
 
-def test_manifest_lists_what_is_imported():
+def test_manifest_lists_the_imported_packages():
     folders = (ROOT / "test", ROOT / "benchmarks", ROOT / "scripts")
     helpers = {path.stem for folder in folders for path in folder.rglob("*.py")}
     helpers |= {"test", "setuptools"}

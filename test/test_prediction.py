@@ -19,7 +19,7 @@ from uav_ident_ros.identification.structure import STRUCTURES, Structure
 Array = NDArray[np.float64]
 START_NS = 1_700_000_000_000_000_000
 ACCURACY = {"rtol": 1e-8, "atol": 1e-10, "max_step": 0.05}
-"""Of the integration here; inputs bend every 0.05 s."""
+"""Tolerances of the reference integration; the inputs have a corner every 0.05 s."""
 
 BASELINE, AUGMENTED = STRUCTURES["baseline"], STRUCTURES["augmented"]
 FLIGHT = STRUCTURES["flight_dynamics"]

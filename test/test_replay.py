@@ -63,7 +63,7 @@ def replayed(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def fed_by_hand(bag: Path, values: dict[str, Any]) -> tuple[OnlineIdentifier, list[Estimate]]:
+def run_core(bag: Path, values: dict[str, Any]) -> tuple[OnlineIdentifier, list[Estimate]]:
     """Run the core over a bag with another bag reader; return it and its estimates."""
     identifier = OnlineIdentifier(Settings.from_values(values))
     estimates = []
@@ -131,7 +131,7 @@ def test_estimates_are_those_of_the_core_to_the_bit(
     bag, output = excerpt(tmp_path / "bag", 6.0, name, change), tmp_path / "out"
     values = parameters(name, airspeed__type=airspeed, airspeed__reference=20.0)
     replay(bag, output, by=parameter_file(tmp_path / "p.yaml", **values))
-    identifier, estimates = fed_by_hand(bag, values)
+    identifier, estimates = run_core(bag, values)
     structure, found = identifier.structure, published(output)
     assert {topic: entries[0][1].__msgtype__ for topic, entries in found.items()} == {
         "coefficients": "std_msgs/msg/Float64MultiArray",

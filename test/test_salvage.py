@@ -83,7 +83,7 @@ def test_chunks_after_a_damaged_record_are_found_without_an_index(flight: Path, 
     assert len(whole) * 0.8 < len(found) < len(whole)
 
 
-def test_cut_off_file_gives_everything_before_the_cut(flight: Path, copy: Path) -> None:
+def test_a_truncated_file_gives_all_messages_before_the_cut(flight: Path, copy: Path) -> None:
     whole, _ = messages(flight)
     places = chunk_places(flight)
     position, length = places[len(places) // 2]

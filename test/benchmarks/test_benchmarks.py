@@ -28,7 +28,7 @@ from uav_ident_ros.simulation.noise import Sensors, measure
 STRUCTURE = STRUCTURES["throttle_coupled"]
 PAPER = {"structure": STRUCTURE.name}
 AMPLITUDES = {"de": 0.25, "dr": 0.35, "da": 0.25, "dth": 0.3}
-"""Large enough to move the rate products too."""
+"""Sufficient excitation of the rate products."""
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +145,7 @@ def test_the_path_of_a_sample_starts_at_the_feed_and_passes_the_stages(
 
 
 COUNTS = {"ulg": 20, "bin": 20, "csv": 20, "bbl": 8, "mcap none": 8, "mcap lz4": 8, "mcap zstd": 8}
-"""Files of each kind; `benchmarks/fuzz.py` takes thousands."""
+"""Number of files of each kind; `benchmarks/fuzz.py` uses thousands."""
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import mutations
 import pytest
 
 LIMIT = 46
-"""Constants of the core; a new one replaces an old one."""
+"""Largest number of constants of the core."""
 
 
 def test_constants_are_found_and_one_line_changes() -> None:

@@ -41,14 +41,14 @@ OLD_FORMATS: dict[str, tuple[str, str]] = {
     "RCOU": ("Ihhhhhhhh", f"TimeMS,{_PINS}"),
     "RATE": ("Iffffffffffff", "TimeMS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut,ADes,A,AOut"),
 }
-"""As of 2014: milliseconds, no instances, no units."""
+"""Formats of 2014: milliseconds, no instances, no units."""
 
 STRUCTURE = {"n": "4s", "N": "16s", "Z": "64s", "M": "B", "c": "h", "C": "H", "e": "i", "E": "I"}
-"""How a format character is packed, where not as `struct` has it; c, C, e, E are hundredths."""
+"""`struct` codes of the format characters that differ; c, C, e, E are hundredths."""
 
 
 Rows = list[tuple[int, str, tuple[Any, ...]]]
-"""Time (in the format's unit), type and values of messages; what is left out at the end is zero."""
+"""Time (in the format's unit), type and values of messages; missing last values are zero."""
 
 
 def write_dataflash(

@@ -101,7 +101,7 @@ def test_pins_beyond_the_fourteenth_are_read(importer: Importer) -> None:
 
 
 ELEVON, TAIL = [-0.5, -0.5], [-0.5, 0.5]
-"""Halves: Plane's mixer gives each of a pair half of either demand (MIXING_GAIN)."""
+"""Plane's mixer gives each surface of a pair half of either demand (MIXING_GAIN)."""
 
 MIXERS = {
     # functions of the pins, parameters, and rows of the mixing

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged, foreign and incomplete files: one line that names the file and what is there."""
+"""Damaged, foreign and incomplete files: a one-line error with the file and its problem."""
 
 import os
 import re
@@ -40,7 +40,7 @@ from uav_ident_ros.import_logs.px4_log import MAGIC, read_ulog
 from uav_ident_ros.import_logs.stamps import NS_PER_S, plausible
 
 Make = Callable[[Path], list[str]]
-"""Writes a log into a folder, and gives the arguments that import it."""
+"""Function that writes a log into a folder and returns the arguments of its import."""
 
 
 KINDS = pytest.mark.parametrize("write", [ulog, plane_log])
@@ -102,7 +102,7 @@ def test_garbage_inside_a_log_is_reported(importer: Importer, write: Any) -> Non
     whole[middle : middle + 1000] = np.random.default_rng(5).bytes(1000)
     it = importer(written(path, whole), status=DAMAGED)
     (lost,) = re.findall(r"the file is damaged: (\d+) of \d+ bytes \(.* %\) in 1 place", it.printed)
-    assert 900 < int(lost) < 1200  # not to the next sync, of which there is none here
+    assert 900 < int(lost) < 1200  # this part has no further sync mark
     assert len(it.bag.imu_t_ns) > len(IMU_NS) - 40
     assert "# Damaged:" in (it.folder / "identifier.yaml").read_text()
 
@@ -229,7 +229,7 @@ def test_a_table_with_a_truncated_row_gives_all_other_rows(importer: Importer) -
     assert len(found.imu_t_ns) == 300
 
 
-# --- what is refused ----------------------------------------------------------------------------
+# --- refusals -----------------------------------------------------------------------------------
 
 
 def file(name: str, content: bytes) -> Make:
@@ -398,11 +398,11 @@ def test_single_damaged_stamps_are_found(places: list[int], value: int) -> None:
         STAMPS[:3],
         np.array([1, 200, 201, 202, 900, 901, 2000]) * NS_PER_S,  # changes of a state
         np.array([20.2, 25.83, 25.836, 26.0, 26.2, 26.4, 31.0]) * NS_PER_S,
-        np.r_[STAMPS, STAMPS[-1] + 60 * NS_PER_S],  # a straggler
+        np.r_[STAMPS, STAMPS[-1] + 60 * NS_PER_S],  # a late stamp
         np.r_[STAMPS[:200], STAMPS[300:] + 60 * NS_PER_S],  # a gap
         np.r_[STAMPS + 60 * NS_PER_S, STAMPS],  # a restart of the autopilot
         STAMPS + np.random.default_rng(1).integers(-(10**8), 10**8, len(STAMPS)),  # disorder
     ],
 )
-def test_gaps_stragglers_and_restarts_are_no_damage(t_ns: np.ndarray) -> None:
+def test_gaps_late_stamps_and_restarts_are_no_damage(t_ns: np.ndarray) -> None:
     assert plausible(np.asarray(t_ns, dtype=np.int64)).all()

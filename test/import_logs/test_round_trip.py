@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated flight written into a log of each kind and imported back: the same samples and the
-same inputs, to what the format can hold."""
+"""A simulated flight, written into a log of each kind and imported: samples and inputs are equal
+within the resolution of the format."""
 
 import math
 from pathlib import Path
@@ -37,7 +37,7 @@ PLANE = {
 }  # fmt: skip
 
 PLAIN_SIGNS = np.array([-1.0, -1.0, 1.0, 1.0])
-"""Elevator, rudder, aileron, throttle of the simulation in the signs of the autopilots."""
+"""Signs of elevator, rudder, aileron and throttle in the autopilots, relative to the simulation."""
 
 
 @pytest.fixture(scope="module")
@@ -219,10 +219,10 @@ def test_table_units_become_si(tmp_path: Path, measured: Measurements, importer:
 
 
 SPEED = 53.3
-"""Of the example flight, m/s: by GPS, as there is no airspeed in it."""
+"""Ground speed of the example flight, m/s: the log has no airspeed."""
 
 DELAY_NS = 60_000_000
-"""By how much the commands are logged before they act; in the simulation they act at once."""
+"""Delay from the log stamp of a command to its action; the simulation has none."""
 
 
 def px4_example(folder: Path) -> Path:

@@ -24,10 +24,10 @@ NODE = "/identifier"
 Fly = Callable[..., tuple[NodeProcess, Player]]
 
 Spoil = Callable[[Any], Any]
-"""What is done to a message; what it returns, if anything, are the bytes to send instead."""
+"""Function that alters a message, or returns the bytes to send instead."""
 
 TickValues = dict[int, tuple[float, ...]]
-"""Everything published for a tick, by its stamp in ns."""
+"""All published values of a tick, by its stamp in ns."""
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from excerpts import PARAMETERS, excerpt
 from programs import python
 
 MESSAGES = 300
-"""Hostile ones on every input; the campaign sends 100,000."""
+"""Number of hostile messages on every input; the campaign sends 100,000."""
 
 SHORT = {"LEARNING_TIME": 12.0, "FLOOD_TIME": 0.1, "SILENCE": 0.1, "LARGEST_LOSS": 5.0}
-"""What the campaign takes longer for: a minute of flight makes up for the storm, this does not
-quite."""
+"""Shorter times than in the campaign. There a minute of flight restores the fit; here the fit
+stays slightly lower."""
 
 
 def test_a_node_killed_while_saving_leaves_a_complete_state_file() -> None:

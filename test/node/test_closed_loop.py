@@ -28,13 +28,13 @@ pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 FAULT = 5.0
 SHORT = Loop(duration=6.0, use_verdict=False, faults=(f"{FAULT}: aileron effect 0.5",))
-"""A flight on coefficients that are adopted, with a fault at the end."""
+"""A flight on identified coefficients, with a fault at the end."""
 
 TIMEOUT = 200.0
 
 
 Flown = tuple[dict[str, np.ndarray], dict[str, str]]
-"""The record, and what each process printed."""
+"""The record, and the output of each process."""
 
 
 def fly(loop: Loop, folder: Path, during: Callable[[ClosedLoop], None] | None = None) -> Flown:

@@ -172,7 +172,7 @@ def test_excitation_is_refused_without_ticks_and_at_too_low_an_update_rate(
 SURFACES = ["elevator", "rudder", "aileron", "throttle"]
 PERIOD_NS = 10_000_000
 START_UP = 120.0
-"""Seconds that a node may take to fly, on any machine."""
+"""Longest time from the start of the node to the excitation, s."""
 
 
 class Controller(Guest):
@@ -185,7 +185,7 @@ class Controller(Guest):
         self.excitation = Excitation(limit=[0.1] * 4)
         subscribe_excitation(self.node, self.excitation)
         self.added: list[tuple[int, bool]] = []
-        """When something else than zero was added, ns, and when not."""
+        """Time, ns, and whether the excitation is nonzero."""
         self._next_ns = time.time_ns()
 
     def fly_one_sample(self) -> None:

@@ -27,13 +27,13 @@ from uav_ident_ros.player import Player
 from uav_ident_ros.ros import to_stamp
 
 EVERY = 20
-"""One message in so many is followed by a bad one."""
+"""A bad message follows every 20th message."""
 
 OUTLYING_S = 10
 """Far outside of `time_jump`, s."""
 
 LATE_S = -0.2
-"""Before a tick that has been computed, s."""
+"""Before an already computed tick, s."""
 
 
 def stamped(seconds: float) -> Spoil:
@@ -51,7 +51,7 @@ def undecodable(message: Any) -> bytes:
     return b"\x00\x01\x00\x00\x01"
 
 
-# Topic, change, and the reason under which it is counted.
+# Topic, change, and the drop reason.
 BAD: list[tuple[str, Spoil, str]] = [
     (RATES_TOPIC, put("angular_velocity.y", math.nan), "not finite"),
     (RATES_TOPIC, put("angular_velocity.y", -math.inf), "not finite"),
@@ -75,7 +75,7 @@ BAD: list[tuple[str, Spoil, str]] = [
 ]
 
 PLAIN_REASONS = {"zero or negative stamp", "outlying stamp", "stamp far from the Imu's"}
-"""Reasons that the log gives without a detail."""
+"""Reasons without a detail in the log."""
 
 
 def with_bad_messages(flight: Recording) -> Iterator[tuple[Message, str]]:

@@ -25,7 +25,7 @@ from uav_ident_ros.messages.published import entry_names
 
 NAMED = f"{NODE}/coefficients_named"
 STRUCTURE = STRUCTURES["flight_dynamics"]
-"""Structure that the layouts are made for."""
+"""Structure of the layouts."""
 
 PLOTJUGGLER = ET.parse(ROOT / "config" / "plotjuggler.xml").getroot()
 FOXGLOVE: dict[str, Any] = json.loads((ROOT / "config" / "foxglove.json").read_text())

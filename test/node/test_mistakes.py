@@ -21,15 +21,15 @@ from uav_ident_ros.process import NodeProcess
 PERIOD = 0.01
 START_NS = 1_700_000_000_000_000_000
 
-LOOKS = 3
-"""Messages on /diagnostics, one a second, of which the last must name a mistake."""
+STATUSES = 3
+"""Messages on /diagnostics, one a second; the last must name a mistake."""
 
 DISCOVERY = 2
-"""More of them until DDS has found, or lost, an endpoint on a busy machine."""
+"""Additional messages for the discovery or loss of an endpoint on a busy machine."""
 
 SENT = 30
-"""Messages on each topic since the last look, without which a look does not count: a busy machine
-may hold the source up, not the node."""
+"""Messages on each topic between two counted statuses: a busy machine may delay the source, not
+the node."""
 
 PARAMETERS = {
     "actuators.type": "sensor_msgs/msg/JointState",
@@ -51,7 +51,7 @@ RIGHT: dict[str, Topic] = {
 }
 
 Change = Topic | str | Callable[[Any], object] | None
-"""Another topic, a word, what is done to each message; None: nobody publishes it."""
+"""Another topic, `SILENT` or `TWICE`, or a function of each message; None: no publisher."""
 
 SILENT, TWICE = "silent", "twice"
 
@@ -155,7 +155,7 @@ class Source(Guest):
     def __init__(self) -> None:
         super().__init__("source")
         self.received: list[str] = []
-        self._sent = self._looks = 0
+        self._sent = self._statuses = 0
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._receive, 10)
         self.changes: dict[str, Change] = {}
         self._publishers: dict[tuple[str, Topic, int], Any] = {}
@@ -164,7 +164,7 @@ class Source(Guest):
 
     def _receive(self, message: DiagnosticArray) -> None:
         if self._sent >= SENT:
-            self._sent, self._looks = 0, self._looks + 1
+            self._sent, self._statuses = 0, self._statuses + 1
         values = {entry.key: entry.value for entry in message.status[0].values}
         self.received.append(f"{message.status[0].message}; {values['warnings']}")
 
@@ -190,7 +190,7 @@ class Source(Guest):
         twice = changes.get("node") == TWICE
         self._twin = rclpy.create_node("identifier", context=self.node.context) if twice else None
         self.received.clear()
-        self._sent = self._looks = 0
+        self._sent = self._statuses = 0
 
     def send(self) -> None:
         """Publish one message of each stream."""
@@ -220,7 +220,7 @@ class Source(Guest):
 
         def ended() -> bool:
             self.send()
-            return self._looks >= LOOKS + DISCOVERY or any(words in h for h in self.received)
+            return self._statuses >= STATUSES + DISCOVERY or any(words in h for h in self.received)
 
         return wait_for(ended) and any(words in h for h in self.received)
 

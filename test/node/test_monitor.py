@@ -28,7 +28,7 @@ WITHOUT_RICH = (
 SILENT = re.compile(
     r"^/identifier  waiting  not usable  last tick [\d.]+ s, none since$", re.MULTILINE
 )
-"""How the view begins when the flight is over."""
+"""Start of the view after the end of the flight."""
 
 StartMonitor = Callable[..., subprocess.Popen[str]]
 

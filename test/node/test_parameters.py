@@ -117,7 +117,7 @@ def test_valid_changes_are_applied_and_an_atomic_set_only_as_a_whole(context: Co
 
 CHANGEABLE = [setting for setting in declarations() if not setting.read_only]
 LEARNING = ("forgetting_time", "model.leak_time")
-"""What changes the estimate, and restarts nothing."""
+"""Settings that change the estimate without a restart."""
 
 TICK_NS = 50_000_000
 

@@ -30,10 +30,10 @@ from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess
 
 ON_TIME = 2e-3
-"""How late the player may be, s of the recording, rms: its stamps on arrival are off by as much."""
+"""Largest rms lag of the player, s of the recording: arrival stamps have this error."""
 
 SPEEDS = (1.0, 0.3, 0.1)
-"""Times real time: slower, a busy machine is as much less late in the recording's time."""
+"""Multiples of real time: at lower speed a busy machine lags less in the recording's time."""
 
 
 @pytest.fixture(scope="module")

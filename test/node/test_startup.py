@@ -92,7 +92,7 @@ def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -
         (own, ["--ros-args", "--params-file", "none.yaml"], "'none.yaml': there is no such file"),
         (own, ["flight.yaml"], "--ros-args --params-file FILE"),
     ]
-    dumped = tmp_path / "dumped.yaml"  # as `ros2 param dump` of a node in no namespace writes it
+    dumped = tmp_path / "dumped.yaml"  # format of `ros2 param dump` without a namespace
     dumped.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
     arguments = ["--ros-args", "--params-file", str(dumped), "-r", "__ns:=/drone1"]
     cases.append((own, arguments, "has nothing for node '/drone1/identifier'"))

@@ -21,10 +21,10 @@ FLAGS = (
 )  # fmt: skip
 
 PATIENCE = 240.0
-"""Time for an answer on a busy machine, s."""
+"""Time limit of a response on a busy machine, s."""
 
 LOOK = 0.02
-"""Interval at which a page is looked at, s."""
+"""Interval between checks of a page, s."""
 
 DRAWN = "Bokeh.documents.length === 1 && Bokeh.documents[0].is_idle"
 """Whether every chart of a page is drawn."""

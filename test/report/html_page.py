@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
-"""Elements of HTML without an end."""
+"""HTML elements without an end tag."""
 
 
 class _Parser(HTMLParser):

@@ -13,7 +13,7 @@ from PIL import Image
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
 
 TELEPHONE, DESK = 375, 1440
-"""Widths of windows, CSS pixels; that of paper is in between."""
+"""Widths of windows, CSS pixels; the paper's width is in between."""
 
 PAPER_WIDTH, PAPER_HEIGHT = 688, 1016
 """Printed part of an A4 page with margins of 14 mm, CSS pixels."""
@@ -45,7 +45,7 @@ TOOLTIPS = """
         if (e.shadowRoot) walk(e.shadowRoot); } };
     walk(document); return found; })()
 """
-"""What the tooltips say."""
+"""Texts of the tooltips."""
 
 CHART_SIZES = """
 [...document.querySelectorAll('figure')].map(e => e.getBoundingClientRect())
@@ -82,7 +82,7 @@ def x_ranges(browser: Browser) -> dict[str, list[float]]:
 
 
 NEXT_FRAME = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-"""Resolved once the page has drawn what an event did."""
+"""Resolved after the page has drawn the effect of an event."""
 
 
 def move(browser: Browser, kind: str, x: float, y: float, **more: object) -> None:

@@ -26,7 +26,7 @@ from uav_ident_ros.offline.tables import coefficients_table
 from uav_ident_ros.report.page import _delay_section
 
 LARGEST_FILE = 3_000_000
-"""Bytes: small enough for an e-mail."""
+"""Limit in bytes, for e-mails."""
 
 SECTIONS = [
     "fit", "learning", "rates", "coefficients", "modes", "inputs", "delay", "messages", "settings",
@@ -39,7 +39,7 @@ CHARTS = [
     "state-alpha", "state-beta", "state-roll", "state-pitch", "spectra-inputs", "spectra-rates",
     "coverage-da-dr", "coverage-de-dth", "coverage-p-r", "coverage-q-p", "delay-curve",
 ]  # fmt: skip
-"""All but those of the coefficients."""
+"""All charts but those of the coefficients."""
 
 
 def charts(page: ET.Element) -> list[str]:

@@ -19,7 +19,7 @@ from uav_ident_ros.simulation.noise import Sensors
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 SMALL = 0.5
-"""Of the usual excitation: small enough for derivatives that are local."""
+"""Share of the usual excitation: small, since the derivatives are local."""
 
 
 def spec_of(name: str, duration: float = 15.0, **changes: object) -> AircraftFlight:
@@ -83,7 +83,7 @@ def test_specific_force_is_at_the_centre_of_gravity(cessna: Flight) -> None:
     for axis in range(3):
         error = np.convolve(kinematic[:, axis] - cessna.specific_force[:, axis], smooth, "valid")
         assert np.sqrt(np.mean(error**2)) < 0.05
-    # a metre ahead it differs
+    # a metre ahead the specific force differs
     away = cessna.force_at((1.0, 0.0, 0.0)) - cessna.specific_force
     assert np.sqrt(np.mean(away[:, 1:] ** 2)) > 0.15
 

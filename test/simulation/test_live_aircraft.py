@@ -20,7 +20,7 @@ from uav_ident_ros.simulation.live import Sample
 
 PERFECT = Sensors(rate=100.0)
 PULSE = {"aileron": (2, 0), "elevator": (0, 1), "rudder": (1, 2)}
-"""Index of each surface, and of the rate that it moves."""
+"""Index of each surface, and of its main rate."""
 
 
 def flown(
@@ -99,7 +99,7 @@ def test_a_fault_of_half_the_effect_halves_the_rate(surface: str) -> None:
     assert (reverse - drift) / (whole - drift) == pytest.approx(-1.0, abs=0.06)
 
 
-def test_a_jammed_surface_stays_until_it_is_repaired() -> None:
+def test_a_jammed_surface_is_fixed_until_its_repair() -> None:
     aircraft, samples = flown("1e-1: aileron jams", "0.2: elevator jams -0.03", seconds=0.3)
     held = samples[-1].surfaces
     assert held[2] == pytest.approx(samples[9].surfaces[2])

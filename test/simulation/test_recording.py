@@ -145,7 +145,7 @@ def test_noise_and_bias_have_the_configured_size(flight: Flight) -> None:
     np.testing.assert_allclose(force.std(axis=0), 0.1, rtol=0.03)
 
 
-def test_the_airspeed_is_measured_at_its_own_rate_where_there_is_a_sensor(flight: Flight) -> None:
+def test_the_airspeed_has_the_rate_of_its_sensor_and_is_absent_without(flight: Flight) -> None:
     fast = dataclasses.replace(flight, airspeed=20.0 + flight.rates[:, 0])
     pitot = dataclasses.replace(NOISY, airspeed_noise=0.3, airspeed_bias=0.5)
     measured, blind = measure(fast, pitot), measure(fast, NOISY)
