@@ -76,7 +76,7 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def replayed_example(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results and report of a replay of the JSBSim aircraft's committed bag.
+    """Return the folder of a replay, with report, of the JSBSim aircraft's committed bag.
 
     The first worker of the run that needs them creates them for all workers.
     """

@@ -31,7 +31,7 @@ def matrix(structure: Structure, entries: Mapping[str, float]) -> FloatArray:
 
 
 def flight_equations(a: FloatArray, state: FloatArray, u: FloatArray, v: float) -> FloatArray:
-    """Rates of change of p, q, r, beta, alpha, roll, pitch at airspeed `v`, m/s."""
+    """Return the derivatives of p, q, r, beta, alpha, roll, pitch at airspeed `v`, m/s."""
     p, q, r, beta, alpha, roll, pitch = state
     rows = a @ np.array([p * q, q * r, p * r, p * p, r * r, p, q, r, *u, 1.0, beta, alpha])
     side, down = (GRAVITY * part(roll) * np.cos(pitch) for part in (np.sin, np.cos))

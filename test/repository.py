@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The repository's own declarations."""
+"""Declarations of the repository: setup.py and the launch files."""
 
 import re
 import runpy

@@ -129,10 +129,10 @@ def test_a_coefficient_is_known_by_t_ratio_or_if_surely_small() -> None:
     known = Coefficients.from_message(
         message(sigma={"qdot/de": 9.0, "rdot/da": 0.2, "pdot/pq": 0.5, "pdot/dr": 2.0})
     ).known
-    assert not known[AUGMENTED.index("qdot/de")]  # 26 and 9
-    assert known[AUGMENTED.index("rdot/da")]  # 0.2 and 0.2, beside a rudder of 2.4
+    assert not known[AUGMENTED.index("qdot/de")]  # value 26, sigma 9
+    assert known[AUGMENTED.index("rdot/da")]  # value 0.2, sigma 0.2, rudder 2.4
     assert not known[AUGMENTED.index("pdot/pq")]
-    assert known[AUGMENTED.index("pdot/dr")]  # 3.1 and 2, beside an aileron of 29.5
+    assert known[AUGMENTED.index("pdot/dr")]  # value 3.1, sigma 2, aileron 29.5
     assert known[~AUGMENTED.mask].all()
 
 

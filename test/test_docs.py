@@ -69,7 +69,7 @@ def text_of(path: Path) -> str:
 
 
 def code_blocks(text: str, language: str = "") -> list[str]:
-    """Fenced blocks of a language; nested ones, in lists, are dedented."""
+    """Return the fenced blocks of a language; those in lists are dedented."""
     found = re.findall(r"^( *)```(\w*)\n(.*?)^\1```$", text, re.DOTALL | re.MULTILINE)
     return [
         re.sub(f"^{indent}", "", body, flags=re.MULTILINE)
@@ -107,7 +107,7 @@ def test_generated_tables_are_in_step_and_hold_every_parameter() -> None:
 
 
 def anchors(text: str) -> set[str]:
-    """Anchors of the headings, by the rule that GitHub uses."""
+    """Return the anchors of the headings, by GitHub's rule."""
     headings = re.findall(r"^#+ (.*)$", without_code(text), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 

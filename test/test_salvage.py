@@ -72,7 +72,7 @@ def test_an_undamaged_file_is_read_in_full_and_in_order(flight: Path) -> None:
 
 
 def test_chunks_after_a_damaged_record_are_found_without_an_index(flight: Path, copy: Path) -> None:
-    """The length of one record is wrong, and the index is gone."""
+    """The length of one record is wrong, and the index is missing."""
     whole, _ = messages(flight)
     places = chunk_places(flight)
     copy.write_bytes(flight.read_bytes()[: sum(places[-1])])
@@ -105,7 +105,7 @@ def test_a_bad_chunk_is_omitted_and_the_rest_is_used(where: str, flight: Path, c
     places = chunk_places(flight)
     position, length = places[len(places) // 3]
     spoil(copy, position + length // 2)
-    if where != "content":  # the record itself cannot be read either
+    if where != "content":  # then the record itself is unreadable
         spoil(copy, position + 1, 8)
     found, (line,) = messages(copy)
     kept = set(found)

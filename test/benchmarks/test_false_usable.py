@@ -57,6 +57,6 @@ def test_a_flight_through_a_bag_gives_the_same_coefficients() -> None:
     trial = next(t for t in verdict_flights.trials(["clean"], (1,), 0.35) if t.replayed)
     replayed = false_usable.run(trial, "")
     direct = false_usable.run(replace(trial, replayed=False), "")
-    for name, values in direct.last.items():  # its parameter file has nine figures
+    for name, values in direct.last.items():  # the bag's parameter file has nine figures
         assert replayed.last[name] == pytest.approx(values, rel=1e-6)
     assert replayed.usable == direct.usable

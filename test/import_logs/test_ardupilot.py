@@ -22,7 +22,7 @@ PULSES = np.random.default_rng(2).integers(1200, 1800, (len(COMMAND_US), 4))
 
 
 def at(t_us: np.ndarray, name: str, values: Any) -> Rows:
-    """Messages of a type, one at each time."""
+    """Return messages of a type, one at each time."""
     rows = np.broadcast_to(values, (len(t_us), np.shape(values)[-1]))
     return [(int(t), name, tuple(row.tolist())) for t, row in zip(t_us, rows, strict=True)]
 

@@ -18,7 +18,7 @@ def log_of(importer: Importer, content: bytes) -> Path:
 def test_a_betaflight_log_holds_samples_and_mixing_of_the_quadrotor(importer: Importer) -> None:
     log = written(importer.folder / "LOG00001.BFL", blackbox(50) + blackbox())
     found, values, printed = importer(log)
-    assert len(found.imu_t_ns) >= COUNT - 1  # orangebox leaves out a frame before the end
+    assert len(found.imu_t_ns) >= COUNT - 1  # orangebox omits a frame before the end
     kept = slice(0, len(found.imu_t_ns))
     np.testing.assert_array_equal(found.imu_t_ns, T_US[kept] * 1000)
     np.testing.assert_allclose(found.rates, np.radians(GYRO[kept]), rtol=1e-12)

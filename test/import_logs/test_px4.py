@@ -43,7 +43,7 @@ def noise(columns: int) -> np.ndarray:
 
 
 def controls(values: np.ndarray, entries: int = 12, late: int = 0, every: int = 1) -> Columns:
-    """A topic of commands with an array `control`, its unused entries NaN."""
+    """Return a topic of commands with an array `control`, its unused entries NaN."""
     return commands((COMMAND_NS + late)[::every], padded(values[::every], entries), "control")
 
 

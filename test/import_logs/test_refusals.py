@@ -401,7 +401,7 @@ def test_single_damaged_stamps_are_found(places: list[int], value: int) -> None:
         np.r_[STAMPS, STAMPS[-1] + 60 * NS_PER_S],  # a late stamp
         np.r_[STAMPS[:200], STAMPS[300:] + 60 * NS_PER_S],  # a gap
         np.r_[STAMPS + 60 * NS_PER_S, STAMPS],  # a restart of the autopilot
-        STAMPS + np.random.default_rng(1).integers(-(10**8), 10**8, len(STAMPS)),  # disorder
+        STAMPS + np.random.default_rng(1).integers(-(10**8), 10**8, len(STAMPS)),  # unsorted
     ],
 )
 def test_gaps_late_stamps_and_restarts_are_no_damage(t_ns: np.ndarray) -> None:

@@ -208,7 +208,7 @@ def test_table_units_become_si(tmp_path: Path, measured: Measurements, importer:
     np.testing.assert_array_equal(imported.imu_t_ns, np.maximum(since_start, FIRST_NS))
     replay(result.folder, tmp_path / "out", by=result.folder / "identifier.yaml")
     inputs = summary(tmp_path / "out")["inputs"]
-    assert all(entry["dropped"] == {} for entry in inputs.values())  # the first row, too
+    assert all(entry["dropped"] == {} for entry in inputs.values())  # including the first row
     assert imported.frame_ids == {"base_link"}
     assert values["imu.convention"] == "flu"
     assert values["imu.lever_arm"] == [0.1, 0.0, -0.05]

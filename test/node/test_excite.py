@@ -38,7 +38,7 @@ from uav_ident_ros.ros import to_stamp
 
 MS = 1_000_000
 PARAMETERS = {
-    "excitation.max_rate": "50.0",  # the recording is lively
+    "excitation.max_rate": "50.0",  # the recorded rates are high
     "excitation.amplitude": "[0.01, 0.02, 0.03, 0.0]",
     "excitation.fade_time": "0.0",
     "excitation.band": "[0.5, 3.0]",

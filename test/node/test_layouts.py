@@ -101,7 +101,7 @@ def numbers(topic: str, path: str, value: Any) -> Iterator[tuple[str, str]]:
             for i, (name, _) in enumerate(zip(value.name, getattr(value, part), strict=False)):
                 yield f"{topic}/{name}/{part}", f"{path}.{part}[{i}]"
     elif isinstance(value, DiagnosticStatus):
-        assert value.hardware_id == ""  # else it is part of the name
+        assert value.hardware_id == ""  # otherwise a part of the name
         for entry in value.values:
             with suppress(ValueError):
                 float(entry.value)

@@ -101,7 +101,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
     "QoS that does not fit": (
         "'qos_overrides./actuators.subscription.reliability' asks for reliable: set it to best_",
         {"actuators": ("/actuators", JointState, False)}),
-    # the node's own coefficients are of their type, and no input
+    # the node's coefficients have the type of an input, but are none
     "actuators end": (
         "on '/actuators' for more than 2 s: nobody publishes '/actuators': no other topic fits",
         {"actuators": None}),

@@ -33,7 +33,7 @@ def shared(flight: recordings.Recording, shared_fly: recordings.Fly) -> Player:
 
 @pytest.fixture
 def player(shared: Player) -> Player:
-    """A player for a node that starts cold."""
+    """Return a player for a node that starts cold."""
     assert recordings.call(shared, Trigger, "reset").success
     shared.outputs.clear()
     return shared

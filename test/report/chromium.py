@@ -60,7 +60,7 @@ class Browser:
         self._unread = b""
         self._count = 0
         self._session: str | None = None
-        self.width = 0  # of the page that is open; 0 before the first
+        self.width = 0  # of the open page; 0 before the first
         # Events since the page was opened: requests, console messages, errors
         self.events: list[dict[str, Any]] = []
         targets = self.call("Target.getTargets")["targetInfos"]
@@ -74,7 +74,7 @@ class Browser:
         return self
 
     def __exit__(self, *_: object) -> None:
-        os.close(self._commands)  # the end of the pipe is the end of the browser
+        os.close(self._commands)  # the browser ends with its pipe
         try:
             self._process.wait(10.0)
         except subprocess.TimeoutExpired:

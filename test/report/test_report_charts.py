@@ -78,7 +78,7 @@ def test_the_residual_of_the_predictions_is_small(flight: Flight) -> None:
     for horizon in (1.0, 0.05):
         ahead = predict(flight, horizon)
         settled = ahead.t > 20.0
-        # gyro noise of the bag: 0.02 rad/s at either end
+        # gyro noise of the bag: 0.02 rad/s at both ends
         assert (ahead.residual[settled].std(axis=0) < 0.05).all()
 
 

@@ -242,7 +242,7 @@ def test_a_very_short_flight_with_an_odd_name_has_a_report(tmp_path: Path) -> No
 
 def test_a_servo_lag_is_reported_without_errors_of_the_delay_bank() -> None:
     found = DelayEstimate(0.02, 0.005, 0.07, 0.005, 9.0, lag=0.05, lag_sigma=0.008)
-    for errors in (np.zeros((0, 3)), np.zeros((5, 3)), np.ones((5, 3))):  # none, none, all alike
+    for errors in (np.zeros((0, 3)), np.zeros((5, 3)), np.ones((5, 3))):  # none, zero, all equal
         bank: Any = SimpleNamespace(estimate=found, delays=np.arange(len(errors)), errors=errors)
         section = _delay_section(bank, 0.02)
         assert "a lag of 50 ms, sigma 8 ms, after a delay of 20 ms" in section.texts[0]
