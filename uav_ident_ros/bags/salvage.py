@@ -77,12 +77,14 @@ class SalvageReader:
         self._parts: list[Part] = []  # Those with messages
         # start_time, end_time: Log time of the first message and the time after the last, ns
         self.start_time, self.end_time = 2**63 - 1, 0
+        self._lost: list[tuple[int, int]] = []  # First and last log time of unreadable chunks, ns
         with path.open("rb") as file:
             problem = self._scan(file)
         saved = sum(n for channel, n in self._counts.items() if channel in self._channels)
         if not saved:
+            nothing = "it is no MCAP file, or nothing is left of it"
             raise SalvageError(
-                "there is no message to be saved: it is no MCAP file, or nothing is left of it"
+                f"there is no message to be saved: {f'it {problem}' if self._lost else nothing}"
             )
         # Topics of the file
         self.connections = [self._connection(c) for _, c in sorted(self._channels.items())]
@@ -91,7 +93,6 @@ class SalvageReader:
 
     def _scan(self, file: IO[bytes]) -> str:
         """Read the whole file; return its defects, empty if there are none."""
-        lost: list[tuple[int, int]] = []
         chunks, torn, cut = 0, 0, False
         for part in _parts(file):
             before, ended = self._counts.total(), False
@@ -102,7 +103,7 @@ class SalvageReader:
                     ended = ended or isinstance(record, DataEnd)
             except Exception:  # damaged bytes make the parser fail in many ways
                 if part.times_ns is not None:
-                    lost.append(part.times_ns)
+                    self._lost.append(part.times_ns)
                 elif part.last:
                     cut = not ended
                 else:
@@ -110,7 +111,7 @@ class SalvageReader:
             if self._counts.total() > before:
                 self._parts.append(part)
         found = []
-        if lost:
+        if lost := self._lost:
             zero = min(self.start_time, *(first for first, _ in lost))
             begin = (min(first for first, _ in lost) - zero) * NS
             end = (max(last for _, last in lost) - zero) * NS
