@@ -210,6 +210,7 @@ def test_without_rich_the_error_names_its_package() -> None:
     ("arguments", "printed"),
     [
         (("--node", "/"), "no node name"),
+        (("--node", "drone 1"), "no node name"),
         (("--timeout", "-1"), "positive"),
         (("--timeout", "soon"), "positive"),
         (("--nod",), "expected one argument"),

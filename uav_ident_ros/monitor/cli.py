@@ -9,6 +9,8 @@ from contextlib import closing
 from typing import NoReturn
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
 from uav_ident_ros.commandline import (
@@ -120,9 +122,12 @@ def parser() -> argparse.ArgumentParser:
 
 def _full_name(text: str) -> str:
     name = text.rstrip("/")
-    if not name.lstrip("/"):
-        raise argparse.ArgumentTypeError(f"'{text}' is no node name: write /identifier")
-    return name if name.startswith("/") else f"/{name}"
+    name = name if name.startswith("/") else f"/{name}"
+    try:
+        validate_full_topic_name(name)
+    except InvalidTopicNameException:
+        raise argparse.ArgumentTypeError(f"'{text}' is no node name: write /identifier") from None
+    return name
 
 
 def once(guest: Guest, node: str | None, timeout: float) -> int:
