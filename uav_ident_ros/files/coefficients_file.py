@@ -113,7 +113,7 @@ def _temporary_name(name: str, writer: int | str) -> str:
 
 
 def remove_leftovers(path: Path | str) -> None:
-    """Remove the temporary files of processes that were killed while writing `path`."""
+    """Remove all temporary files of `path`: processes that were killed leave them."""
     target = Path(os.path.realpath(path))
     for left in target.parent.glob(_temporary_name(glob.escape(target.name), "*")):
         left.unlink(missing_ok=True)
