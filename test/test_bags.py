@@ -181,6 +181,23 @@ def test_the_error_of_an_unknown_topic_lists_the_topics(tmp_path: Path) -> None:
                 query()
 
 
+def test_a_topic_of_two_types_is_refused_where_it_is_read(tmp_path: Path) -> None:
+    """Bytes of one type may be taken for another: what follows a message is skipped."""
+    folder = tmp_path / "both"
+    folder.mkdir()
+    for name, msgtype in (("first", ARRAY), ("second", "std_msgs/msg/Float32MultiArray")):
+        with BagWriter(tmp_path / name) as bag:
+            bag.topic("/a", msgtype)
+            bag.topic(f"/{name}", msgtype)
+            bag.write("/a", 1, bytes(28))
+            bag.write(f"/{name}", 1, bytes(28))
+        mcap(tmp_path / name).rename(folder / f"{name}.mcap")
+    with Bag(folder) as bag:
+        bag.decoder("/first")
+        with pytest.raises(BagError, match=r"'/a' has two types, .*Float64.* and .*Float32"):
+            bag.decoder("/a")
+
+
 def test_missing_foreign_and_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
     write_ros1(tmp_path / "old.bag")
     content = (tmp_path / "old.bag").read_bytes()

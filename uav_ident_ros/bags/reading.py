@@ -205,11 +205,16 @@ class Bag:
         Raises
         ------
         BagError
-            If the topic is missing or its type is unknown. The function raises it for bytes
-            that are no message of the type.
+            If the topic is missing, has several types, or one that is unknown. The function
+            raises it for bytes that are no message of the type.
         """
         msgtype = self.type_of(topic)
         for connection in self._connections:
+            if connection.topic == topic and connection.msgtype != msgtype:
+                raise BagError(
+                    f"bag '{self.path}': topic '{topic}' has two types, {msgtype} and "
+                    f"{connection.msgtype}"
+                )
             if connection.msgtype == msgtype:
                 try:
                     _register_type(self._store, connection)
