@@ -359,6 +359,8 @@ def test_tables_of_ulog2csv_give_the_samples_of_their_log(importer: Importer) ->
     np.testing.assert_allclose(again.actuators, whole.actuators, rtol=1e-6)
     assert found["actuators.mixing.de"] == values["actuators.mixing.de"]
     assert "PX4, by ulog2csv" in printed
+    (folder / "flight_params.csv").write_text("name,value\n" + lines)
+    assert "flight_params.csv' cannot be read: each line needs a" in importer.refused(folder)
     (folder / "flight_params.csv").unlink()
     assert "no parameter (CA_ROTOR*, CA_SV_CS*) says" in importer.refused(folder)
     (folder / "other_sensor_combined_0.csv").write_text("timestamp\n1\n")

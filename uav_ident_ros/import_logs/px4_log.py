@@ -205,8 +205,14 @@ def read_folder(path: Path, topics: Collection[str]) -> Log:
         if len(columns["timestamp"]):
             log.add(match["topic"], int(match["instance"]), columns)
     for file in path.glob("*params.csv"):  # of ulog_params: names and values
-        rows = (line.split(",") for line in file.read_text(encoding="utf-8").splitlines())
-        log.parameters |= {name: float(value) for name, value, *_ in rows}
+        try:
+            lines = filter(str.strip, file.read_text(encoding="utf-8").splitlines())
+            rows = (line.partition(",") for line in lines)
+            log.parameters |= {name: float(rest.partition(",")[0]) for name, _, rest in rows}
+        except ValueError as error:
+            raise ImportLogError(
+                f"table '{file}' cannot be read: each line needs a name and a number ({error})"
+            ) from None
     if not log.parameters:
         log.findings.lost.append(
             "the tables do not have the parameters: ulog_params LOG.ulg params.csv writes them"
