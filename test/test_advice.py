@@ -96,6 +96,7 @@ AT_REST, AT_LIMIT = "at rest: no rate has moved by … rad/s", "channel … is a
 STILL_RUDDER = {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST_ABOVE))}
 WEAK_RUDDER = {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST_BELOW))}
 UNSURE = replace(SURE, rise=1.0)
+EARLY = replace(SURE, delay=-0.015, sigma=0.009)
 SPLIT = replace(SURE, total=0.062, lag=0.05, lag_sigma=0.009)
 
 
@@ -136,6 +137,10 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("wrong_setup", {"setup": (SURE.contradiction(0.2),) * 3, "delay": SURE, "delay_in_use": 0.2},
      {"setup": (SURE.contradiction(0.2), "28 ms may be lag", "28 ms may be lag"),
       "delay": SURE, "delay_in_use": 0.2}, "^28 ms may be lag$"),
+    # below zero by less than two sigma: evidence against the lag in use, and no other advice
+    ("wrong_setup", {"setup": ("", "", ""), "delay": EARLY, "delay_in_use": 0.0},
+     {"setup": (EARLY.contradiction(0.0),) * 3, "delay": EARLY, "delay_in_use": 0.0},
+     "^the inputs act 15 ms earlier than .*, or lower 'actuators.time_constant'$"),
     ("weak_excitation", moves(0.1, 1e-6, 0.1, 0.1), moves(0.1, 0.0, 0.1, 0.1),
      "the rudder never moved"),
     ("wrong_delay", {"delay": SURE, "delay_in_use": SURE.delay - DELAY_OFF * JUST_BELOW},

@@ -139,9 +139,12 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
 
 
 def wrong_setup(e: Evidence) -> Iterator[str]:
-    """Yield the settings that are off and widen sigma, without the delay (`wrong_delay`)."""
+    """Yield the settings that are off and widen sigma, without the delay if it has other advice."""
     delay_problem, _, _ = e.delay.contradiction(e.delay_in_use).partition(": ")  # without the cure
-    yield from dict.fromkeys(r for r in e.setup if r and not r.startswith(delay_problem))
+    has_other = any([*wrong_delay(e), *wrong_lag(e)])
+    for reason in dict.fromkeys(filter(None, e.setup)):
+        if not (has_other and reason.startswith(delay_problem)):
+            yield reason
 
 
 def wrong_delay(e: Evidence) -> Iterator[str]:
