@@ -157,6 +157,7 @@ def test_a_run_sends_the_signal_then_zeros_then_no_messages() -> None:
     assert not values(injection[400:]).any()
     assert len(zeros) == pytest.approx(ZERO_TIME_NS / TICK_NS, abs=1)
     assert injection[-1] is None
+    assert run.step(LEVEL, estimate(T0_NS)) is None  # silent after the clock went back, too
     assert run.why.startswith("complete; not known yet: pdot/p")
 
 

@@ -239,8 +239,10 @@ class ExcitationRun:
         """Return the injection requested at a tick; None if nothing is to be sent."""
         t_ns = estimate.t_ns
         if not self.active:  # zero for a moment after a run, then nothing
-            done = t_ns > self._zeros_until_ns
-            return None if done else Injection(t_ns, np.zeros(len(INPUTS)))
+            if t_ns > self._zeros_until_ns:
+                self._zeros_until_ns = 0  # also for a clock that goes back
+                return None
+            return Injection(t_ns, np.zeros(len(INPUTS)))
         assert self._input is not None and self.sufficiency is not None
         self._now_ns = t_ns
         problem = _problem(self._settings, flying, estimate)
