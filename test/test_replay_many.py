@@ -20,6 +20,7 @@ from excerpts import BAGS, PARAMETERS, excerpt, parameter_file, replay, summary
 from programs import PATIENCE, Capture, Terminal, python, wait_for
 from repository import ROOT
 
+from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, job, main
 from uav_ident_ros.offline.command import WORST_FIT, mean_fit, overview, percent, ranked, ranking
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
@@ -413,3 +414,12 @@ def test_progress_without_a_terminal_has_few_lines(
     shares = [int(share) for share in re.findall(r"(\d+)%", capsys.readouterr().err)]
     assert shares == sorted(shares)
     assert 2 <= len(shares) < 8
+
+
+def test_a_package_that_does_not_fit_another_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: str) -> None:
+        raise ImportError("numpy.core.multiarray failed to import")
+
+    monkeypatch.setattr(job, "import_module", broken)
+    with pytest.raises(BagError, match=r"'report' cannot be imported: numpy\.core\.multi"):
+        job.optional("report")

@@ -46,7 +46,7 @@ class Bar(tqdm):
 
 
 def optional(module: str) -> Any:
-    """Return a module; raises `BagError` if it needs a package that is missing."""
+    """Return a module; raises `BagError` if it needs a package that is missing or broken."""
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
@@ -54,6 +54,8 @@ def optional(module: str) -> Any:
         raise BagError(
             f"the Python package '{missing}' is missing: pip install {missing}"
         ) from None
+    except ImportError as error:  # as of a matplotlib that was built for another NumPy
+        raise BagError(f"'{module}' cannot be imported: {error}") from None
 
 
 # --- the job --------------------------------------------------------------------------------------
