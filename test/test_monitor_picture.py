@@ -108,6 +108,16 @@ def test_other_widths_are_respected_with_all_regressors(width: int) -> None:
             assert re.search(rf"(^| ){name} ", shown, re.MULTILINE)
 
 
+def test_labels_that_the_node_does_not_publish_are_shown_as_unknown() -> None:
+    """A node of another version may lack some."""
+    result, _ = received()
+    for label in STATUS:
+        result.diagnosed("learning", {k: v for k, v in STATUS.items() if k != label})
+        assert text(result)
+    result.diagnosed("learning", {k: v for k, v in STATUS.items() if k != "rates: age [s]"})
+    assert "200.0 Hz  ?  dropped 3" in text(result)
+
+
 def test_every_number_has_its_place_and_label() -> None:
     shown = text(received()[0])
     head = shown.splitlines()[0]

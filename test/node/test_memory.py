@@ -184,11 +184,14 @@ def test_unusable_coefficients_replace_usable_ones_only_after_a_reset(path: Path
     assert load_with_notes(path)[0].values.max() == 4.0
 
 
-def test_temporary_files_of_a_killed_process_are_removed(path: Path) -> None:
+def test_temporary_files_of_killed_processes_alone_are_removed(path: Path) -> None:
     write(path, coefficients(2.0), saved=NOW)
-    path.with_name(".identifier.yaml.4711.tmp").write_text("half")
+    ended, running = 2**22 + 1, os.getpid()  # the first is above every process number
+    for process in (ended, running):
+        path.with_name(f".identifier.yaml.{process}.tmp").write_text("half")
     Vehicle(path)
-    assert [p.name for p in path.parent.iterdir()] == ["identifier.yaml"]
+    left = sorted(p.name for p in path.parent.iterdir())
+    assert left == [f".identifier.yaml.{running}.tmp", "identifier.yaml"]
 
 
 def test_a_saved_servo_lag_is_used_at_the_start(path: Path) -> None:

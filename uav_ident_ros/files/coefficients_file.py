@@ -113,10 +113,22 @@ def _temporary_name(name: str, writer: int | str) -> str:
 
 
 def remove_leftovers(path: Path | str) -> None:
-    """Remove all temporary files of `path`: processes that were killed leave them."""
+    """Remove the temporary files of `path` that killed processes have left."""
     target = Path(os.path.realpath(path))
     for left in target.parent.glob(_temporary_name(glob.escape(target.name), "*")):
-        left.unlink(missing_ok=True)
+        writer = left.name.removesuffix(".tmp").rpartition(".")[2]
+        if writer.isdecimal() and not _is_running(int(writer)):
+            left.unlink(missing_ok=True)
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it belongs to another user
+        return True
+    return True
 
 
 def _sync_folder(folder: Path) -> None:

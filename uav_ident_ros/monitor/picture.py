@@ -268,7 +268,7 @@ def _foot(watched: WatchedNode, glyphs: Glyphs) -> Iterator[Text]:
     yield from _excitation(values)
     line = Text(no_wrap=True)
     if (delay := watched.number("delay [s]")) is not None:
-        confidence = CONFIDENCE[values["delay confidence"]]
+        confidence = CONFIDENCE.get(values["delay confidence"], "")
         line += _line("delay", (f"{1e3 * delay:.0f} ms", "bold"), f"  {confidence}  ")
     if lag := values.get("servo lag [s]"):
         line += _line("servo lag", f"{lag} s  ")

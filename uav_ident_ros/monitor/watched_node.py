@@ -50,6 +50,13 @@ class Coefficient:
         return 1 if change > 0.0 else -1
 
 
+class _Status(dict[str, str]):
+    """Values of a status by label; a label that the node's version does not have is a '?'."""
+
+    def __missing__(self, label: str) -> str:
+        return "?"
+
+
 class WatchedNode:
     """Collects the outputs of one identifier."""
 
@@ -83,7 +90,7 @@ class WatchedNode:
     def diagnosed(self, message: str, values: Mapping[str, str]) -> None:
         """Add one status: its message, and its values by label."""
         self.state, _, self.reason = message.partition(": ")
-        self.values = values
+        self.values = _Status(values)
 
     def number(self, label: str) -> float | None:
         """Return a value of the status as a number; None if it is missing or not a number."""

@@ -36,7 +36,7 @@ class Ticks(Sequence[Estimate]):
 
     def __init__(self, structure: Structure, estimates: Iterable[Estimate] = ()) -> None:
         self.structure = structure
-        self._packed: list[Estimate] = []
+        self._estimates: list[Estimate] = []
         for estimate in estimates:
             self.append(estimate)
 
@@ -44,16 +44,16 @@ class Ticks(Sequence[Estimate]):
         """Add the next estimate."""
         mask = self.structure.mask
         free, sigma = estimate.coefficients[mask], estimate.sigma[mask]
-        self._packed.append(replace(estimate, coefficients=free, sigma=sigma))
+        self._estimates.append(replace(estimate, coefficients=free, sigma=sigma))
 
     def chosen(self, which: Iterable[int]) -> Ticks:
         """Return the estimates at some indices, without copying their arrays."""
         result = Ticks(self.structure)
-        result._packed = [self._packed[k] for k in which]
+        result._estimates = [self._estimates[k] for k in which]
         return result
 
     def __len__(self) -> int:
-        return len(self._packed)
+        return len(self._estimates)
 
     @overload
     def __getitem__(self, item: int) -> Estimate: ...
@@ -62,19 +62,19 @@ class Ticks(Sequence[Estimate]):
     def __getitem__(self, item: int | slice) -> Estimate | Ticks:
         if isinstance(item, slice):
             return self.chosen(range(len(self))[item])
-        packed, mask = self._packed[item], self.structure.mask
+        estimate, mask = self._estimates[item], self.structure.mask
         values, sigma = np.zeros(mask.shape), np.zeros(mask.shape)
-        values[mask], sigma[mask] = packed.coefficients, packed.sigma
-        return replace(packed, coefficients=values, sigma=sigma)
+        values[mask], sigma[mask] = estimate.coefficients, estimate.sigma
+        return replace(estimate, coefficients=values, sigma=sigma)
 
     def stamps(self) -> TimeArray:
         """Return the message times of the ticks, ns, shape (K,)."""
-        return np.array([packed.t_ns for packed in self._packed], dtype=np.int64)
+        return np.array([estimate.t_ns for estimate in self._estimates], dtype=np.int64)
 
     def history(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """Return one coefficient and its standard deviation over the ticks, (K,) each."""
         k = self.structure.free.index(index)
-        found = [(packed.coefficients[k], packed.sigma[k]) for packed in self._packed]
+        found = [(estimate.coefficients[k], estimate.sigma[k]) for estimate in self._estimates]
         values, sigma = np.array(found).reshape(-1, 2).T
         return values, sigma
 
