@@ -98,6 +98,7 @@ WEAK_RUDDER = {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST
 UNSURE = replace(SURE, rise=1.0)
 EARLY = replace(SURE, delay=-0.015, sigma=0.009)
 SPLIT = replace(SURE, total=0.062, lag=0.05, lag_sigma=0.009)
+OPEN = replace(SURE, total=0.03, lag=0.04, lag_sigma=0.025)
 
 
 def yaw(damping: float) -> dict[str, Any]:
@@ -171,6 +172,10 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("wrong_lag", {"delay": replace(SPLIT, lag=2.0 * JUST_BELOW * SPLIT.lag_sigma)},
      {"delay": replace(SPLIT, lag=2.0 * JUST_ABOVE * SPLIT.lag_sigma)},
      r"a servo lag of 18 ms \(sigma 9 ms\), 0 ms are in use: set 'actuators.time_constant'"),
+    # a lag in use beyond the sum, whose split is not known: at most the sum, as it is adopted
+    ("wrong_lag", {"delay": OPEN, "lag_in_use": OPEN.total + 2.0 * JUST_BELOW * OPEN.total_sigma},
+     {"delay": OPEN, "lag_in_use": OPEN.total + 2.0 * JUST_ABOVE * OPEN.total_sigma},
+     r"a servo lag of 30 ms .* 'actuators.time_constant' to 0.030 and 'actuators.delay' to 0.000"),
     ("wrong_lag", {"delay": replace(SPLIT, lag_sigma=0.015)}, {"delay": SPLIT},
      "'actuators.time_constant' to 0.050 and 'actuators.delay' to 0.012"),
     ("wrong_delay", {"delay": replace(SPLIT, delay=0.06)},

@@ -127,7 +127,7 @@ class DelayEstimate:
         No lag exceeds the sum: no input acts before it is given.
         """
         off = self.lag - lag
-        if self.from_injected and self.total_sure and lag - self.total > 2.0 * self.total_sigma:
+        if self.total_sure and lag - self.total > 2.0 * self.total_sigma:
             return min(off, self.total - lag)
         return off if self.lag_sure and abs(off) > 2.0 * self.lag_sigma else 0.0
 

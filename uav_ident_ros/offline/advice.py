@@ -174,13 +174,13 @@ def wrong_delay(e: Evidence) -> Iterator[str]:
 def wrong_lag(e: Evidence) -> Iterator[str]:
     """Yield advice if the lag of the response to injected signals contradicts the one in use."""
     in_use = e.lag_in_use
-    if e.delay.lag_off(in_use):
-        delay = max(e.delay.total - e.delay.lag, 0.0)
+    if off := e.delay.lag_off(in_use):
+        lag = in_use + off
         yield (
-            f"the injected signal shows a servo lag of {1e3 * e.delay.lag:.0f} ms (sigma "
+            f"the injected signal shows a servo lag of {1e3 * lag:.0f} ms (sigma "
             f"{1e3 * e.delay.lag_sigma:.0f} ms), {1e3 * in_use:.0f} ms are in use: set "
-            f"'actuators.time_constant' to {e.delay.lag:.3f} and 'actuators.delay' to {delay:.3f}, "
-            "or 'actuators.estimate_delay' to true"
+            f"'actuators.time_constant' to {lag:.3f} and 'actuators.delay' to "
+            f"{max(e.delay.total - lag, 0.0):.3f}, or 'actuators.estimate_delay' to true"
         )
 
 
