@@ -61,9 +61,9 @@ class Flight:
 
 def test_no_derivative_is_confirmed_before_its_surface_has_moved() -> None:
     assert Flight().doubts() == [
-        "pdot/da is unconfirmed: da has hardly moved of late; move it",
-        "qdot/de is unconfirmed: de has hardly moved of late; move it",
-        "rdot/dr is unconfirmed: dr has hardly moved of late; move it",
+        f"{name} is unconfirmed: {surface} has moved too little of late to exclude half and twice "
+        f"of it; move {surface}"
+        for name, surface in (("pdot/da", "da"), ("qdot/de", "de"), ("rdot/dr", "dr"))
     ]
 
 
@@ -92,20 +92,37 @@ def test_a_failed_surface_is_contradicted_and_no_other(row: int, effect: float) 
     flight.fly(10.0, effect, row=row)
     surface, axis = ("da", "de", "dr")[row], ("pdot", "qdot", "rdot")[row]
     doubts = flight.doubts()
-    assert doubts.pop(row) == (
-        f"{axis}/{surface} is contradicted: {axis} does not follow {surface}; check the surface"
-    )
+    assert doubts.pop(row).startswith(f"{axis}/{surface} is contradicted: ")
     assert doubts == ["", ""]
 
 
-@pytest.mark.parametrize(("effect", "rejected"), [(0.3, True), (0.7, False), (1.3, False)])
-def test_less_than_half_the_effect_is_contradicted(effect: float, rejected: bool) -> None:
+@pytest.mark.parametrize(
+    ("effect", "remark"),
+    [
+        (-1.0, "pdot does not follow da; check the surface"),
+        (0.0, "pdot does not follow da; check the surface"),
+        (0.6, "half of it explains pdot better; check the surface"),
+        (0.9, ""),
+        (1.3, ""),
+        (1.7, "twice of it explains pdot better; check the airspeed and the load"),
+        (4.0, "twice of it explains pdot better; check the airspeed and the load"),
+    ],
+)
+def test_an_effect_nearer_to_half_or_to_twice_is_contradicted(effect: float, remark: str) -> None:
     flight = Flight()
     flight.fly(60.0)
-    flight.fly(30.0, effect)
-    doubts = flight.doubts()
-    assert ("does not follow" in doubts[ROLL]) == rejected
-    assert rejected or doubts == ["", "", ""]
+    flight.fly(60.0, effect)
+    expected = f"pdot/da is contradicted: {remark}" if remark else ""
+    assert flight.doubts() == [expected, "", ""]
+
+
+@pytest.mark.parametrize(("moved", "confirmed"), [(0.06, False), (0.3, True)])
+def test_motion_must_tell_an_effect_from_its_half(moved: float, confirmed: bool) -> None:
+    """The smaller motion excludes only that the elevator has no effect: 7 and 2 of 4.5 nats."""
+    flight = Flight()
+    flight.fly(120.0, moved=moved)
+    assert (flight.doubts()[PITCH] == "") == confirmed
+    assert confirmed or "to exclude half" in flight.doubts()[PITCH]
 
 
 def test_the_confirmation_of_resting_surfaces_ends_at_the_largest_age() -> None:
@@ -135,9 +152,9 @@ LARGE = 4.0
 """Size of a test input relative to the usual motion."""
 
 
-def in_turns() -> Flight:
+def in_turns(seed: int = 1) -> Flight:
     """Fly three test inputs with rests between them; the largest age of a confirmation is 5 s."""
-    flight = Flight()
+    flight = Flight(seed)
     flight.max_age = 5.0
     for _ in range(3):
         flight.fly(REST, moved=0.0)
@@ -146,11 +163,14 @@ def in_turns() -> Flight:
 
 
 def test_periodic_test_inputs_keep_surfaces_confirmed_until_the_next_is_due() -> None:
-    flight = in_turns()
-    flight.fly(REST + TURN, moved=0.0)
-    assert flight.doubts() == ["", "", ""]
-    flight.fly(5.0, moved=0.0)
-    assert all("unconfirmed" in doubt for doubt in flight.doubts())
+    """Some are not: at the end of a test input the evidence is a little below its bound."""
+    flights = [in_turns(seed) for seed in range(1, 6)]
+    for flight in flights:
+        flight.fly(REST, moved=0.0)
+    assert sum(doubt == "" for flight in flights for doubt in flight.doubts()) >= 12
+    for flight in flights:
+        flight.fly(10.0, moved=0.0)
+        assert all("unconfirmed" in doubt for doubt in flight.doubts())
 
 
 def test_a_test_input_without_effect_contradicts_its_surface() -> None:

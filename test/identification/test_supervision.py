@@ -65,7 +65,7 @@ def test_a_usable_model_expires_in_quiet_flight(max_age: float, usable: bool) ->
     _, estimates = flown(quiet_after(35.0), supervision__max_age=max_age)
     assert estimates[41 * 20].usable
     assert estimates[-1].usable == usable
-    assert ("has hardly moved of late" in estimates[-1].reason) != usable
+    assert ("has moved too little of late" in estimates[-1].reason) != usable
 
 
 @cache

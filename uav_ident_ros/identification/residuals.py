@@ -283,28 +283,35 @@ LARGEST_ODDS = 2.0 * CONFIRMED
 NO_VARIANCE = float(np.finfo(float).eps)
 """Variance below which a residual counts as zero, rad^2/s^4."""
 
+OTHER_EFFECTS = {
+    0.0: "{row} does not follow {surface}; check the surface",
+    0.5: "half of it explains {row} better; check the surface",
+    2.0: "twice of it explains {row} better; check the airspeed and the load",
+}
+"""Effects beside the estimated one, relative to it, and the remark where one is more likely: a lost
+or reversed surface, half of one, and an aircraft that is lighter or flies faster than assumed."""
 
-def _bounded(odds: float) -> float:
-    """Return a logarithm of odds within `LARGEST_ODDS`."""
-    return max(min(odds, LARGEST_ODDS), -LARGEST_ODDS)
+_LEFT = 1.0 - np.array([1.0, *OTHER_EFFECTS])[:, None, None]
+"""Share of the estimated effect in the residual by each hypothesis; that of the estimate first."""
 
 
 class Confirmation:
     """Evidence for and against the main control derivatives of the moment rows.
 
-    For each derivative a sequential probability ratio test (Wald 1945) of the whitened residual:
-    "the surface has its estimated effect" against "it has none". A lost or reversed surface turns
-    the odds as soon as it moves. A surface that does not move gives no evidence, and its
-    confirmation fades. Where surfaces are excited in turns, as by doublets one after the other, it
-    fades no sooner than the next turn is due.
+    For each derivative sequential probability ratio tests (Wald 1945) of the whitened residual:
+    "the surface has its estimated effect" against each of `OTHER_EFFECTS`. A lost or reversed
+    surface turns the odds as soon as it moves. A surface that does not move gives no evidence, and
+    its confirmation fades. Where surfaces are excited in turns, as by doublets one after the other,
+    it fades no sooner than the next turn is due.
     """
 
     def __init__(self) -> None:
-        self._odds = [0.0] * len(ROWS)
+        self._odds: FloatArray = np.zeros((len(OTHER_EFFECTS), len(ROWS)))
         self._now = 0.0  # Time since the start, s
-        self._recent = [0.0] * len(ROWS)  # Evidence of the last `INDEPENDENT_TIME`
-        # Squared residuals of that time, times dt: with the estimated effect, and with none
-        self._squares: FloatArray = np.zeros((2, len(ROWS)))
+        # Evidence of the last `INDEPENDENT_TIME` that the surface has an effect at all
+        self._recent: FloatArray = np.zeros(len(ROWS))
+        # Squared residuals of that time, times dt, with the estimated effect and each other one
+        self._squares: FloatArray = np.zeros((len(_LEFT), len(ROWS)))
         self._squares_time = 0.0
         self._moved = [-math.inf] * len(ROWS)  # Last time that reached the bound, s
         # Start of each turn of the surface, and the rest before it, s
@@ -312,7 +319,7 @@ class Confirmation:
 
     def forget(self, row: int) -> None:
         """Clear the evidence of a row whose derivatives are learned anew."""
-        self._odds[row] = 0.0
+        self._odds[:, row] = 0.0
         self._moved[row] = -math.inf
         self._turns[row].clear()
 
@@ -324,22 +331,21 @@ class Confirmation:
         max_age: float,  # Time in which a confirmation fades at rest, s; 0: never
     ) -> None:
         """Add whitened samples to the evidence."""
-        residual = white.residual[: len(ROWS)]
-        # Squared residuals with the estimated effect, and with none
-        left = np.add.reduce(np.square((residual, residual + effect)), axis=2)
+        residual = white.residual[: len(ROWS)] + _LEFT * effect
+        squares = np.add.reduce(residual * residual, axis=2)
         time = effect.shape[1] * white.dt
         self.fade(time, max_age)
         keep = math.exp(-time / INDEPENDENT_TIME)
-        self._squares = keep * self._squares + left * white.dt
+        self._squares = keep * self._squares + squares * white.dt
         self._squares_time = keep * self._squares_time + time
-        # The residual of the better hypothesis is noise, too, where it exceeds the usual noise.
-        noise = np.maximum(variance[: len(ROWS)], self._squares.min(axis=0) / self._squares_time)
-        gain = left[1] - left[0]
-        for i, (more, spread) in enumerate(zip(gain.tolist(), noise.tolist(), strict=True)):
-            evidence = 0.5 * more / max(spread, NO_VARIANCE)
-            self._odds[i] = _bounded(self._odds[i] + evidence)
-            self._recent[i] = _bounded(keep * self._recent[i] + evidence)
-            if self._recent[i] == LARGEST_ODDS:
+        # The residual of the best hypothesis is noise, too, where it exceeds the usual noise.
+        least = np.minimum.reduce(self._squares) / self._squares_time
+        noise = np.maximum(np.maximum(variance[: len(ROWS)], least), NO_VARIANCE)
+        evidence = 0.5 * (squares[1:] - squares[0]) / noise
+        self._odds = _bounded(self._odds + evidence)
+        self._recent = _bounded(keep * self._recent + evidence[0])
+        for i, odds in enumerate(self._recent.tolist()):
+            if odds == LARGEST_ODDS:
                 rested, self._moved[i] = self._now - self._moved[i], self._now
                 if max_age < rested <= MEMORY:
                     self._turns[i].append((self._now, rested))
@@ -347,8 +353,9 @@ class Confirmation:
     def fade(self, time: float, max_age: float) -> None:
         """Fade the confirmations by a time, s.
 
-        The largest odds fade to the limit within `max_age`, s, after the next turn of the input is
-        due.
+        The largest odds against no effect fade to the limit within `max_age`, s, after the next
+        turn of the input is due. Those about the size of the effect fade within `MEMORY` at the
+        soonest: weak excitation takes as long to tell an effect from its half.
         """
         self._now += time
         if max_age <= 0.0:
@@ -357,17 +364,25 @@ class Confirmation:
             while turns and self._now - turns[0][0] > MEMORY:
                 turns.popleft()
             age = max_age + max((rested for _, rested in turns), default=0.0)
-            self._odds[i] *= (CONFIRMED / LARGEST_ODDS) ** (time / age)
+            limit = CONFIRMED / LARGEST_ODDS
+            self._odds[0, i] *= limit ** (time / age)
+            self._odds[1:, i] *= limit ** (time / max(age, MEMORY))
 
     def doubt(self, row: int) -> str:
         """Return why a row's main control derivative is not confirmed; empty if it is."""
-        odds = self._odds[row]
-        if odds >= CONFIRMED:
+        odds = self._odds[:, row].tolist()
+        if min(odds) >= CONFIRMED:
             return ""
-        surface = MAIN_INPUTS[ROWS[row]]
-        if odds <= -CONFIRMED:
-            return (
-                f"{ROWS[row]}/{surface} is contradicted: {ROWS[row]} does not follow {surface}; "
-                "check the surface"
-            )
-        return f"{ROWS[row]}/{surface} is unconfirmed: {surface} has hardly moved of late; move it"
+        name, surface = ROWS[row], MAIN_INPUTS[ROWS[row]]
+        if min(odds) <= -CONFIRMED:
+            likely = list(OTHER_EFFECTS.values())[odds.index(min(odds))]
+            return f"{name}/{surface} is contradicted: " + likely.format(row=name, surface=surface)
+        return (
+            f"{name}/{surface} is unconfirmed: {surface} has moved too little of late to exclude "
+            f"half and twice of it; move {surface}"
+        )
+
+
+def _bounded(odds: FloatArray) -> FloatArray:
+    """Return logarithms of odds within `LARGEST_ODDS`."""
+    return np.asarray(np.minimum(np.maximum(odds, -LARGEST_ODDS), LARGEST_ODDS))
