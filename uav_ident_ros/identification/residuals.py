@@ -370,7 +370,7 @@ class Confirmation:
 
     def doubt(self, row: int) -> str:
         """Return why a row's main control derivative is not confirmed; empty if it is."""
-        odds = self._odds[:, row].tolist()
+        odds: list[float] = self._odds[:, row].tolist()
         if min(odds) >= CONFIRMED:
             return ""
         name, surface = ROWS[row], MAIN_INPUTS[ROWS[row]]

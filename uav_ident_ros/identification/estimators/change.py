@@ -52,10 +52,6 @@ KEPT = np.exp(-LOOK_TIME / MEMORY)
 """Discount factor of the usual slope from one test to the next."""
 
 
-CLEARED = 0.5 * SURE
-"""Number of standard deviations below which an apparent change ends; up to `SURE` it stays."""
-
-
 class Change(NamedTuple):
     """A detected change of a coefficient."""
 
@@ -90,10 +86,6 @@ class ChangeDetector:
         self._energy = self._power = np.zeros(len(self._row))
         # Of the tests in the last `WINDOW_TIME`: energy, power, standard deviations
         self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
-        # Apparent changes of control derivatives, (3, 4), which noise leaves undecided
-        self.apparent: FloatArray = np.zeros((3, len(INPUTS)))
-        # Usual slope of each when its apparent change began; infinite if there is none
-        self._usual_before = np.full(len(self._row), np.inf)
 
     def restart(self) -> None:
         """Clear the window, since the next samples do not continue it."""
@@ -159,11 +151,6 @@ class ChangeDetector:
         # A surface excited alone makes nearly all of its row: it has changed, not the row.
         surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
         excluded |= ~self._surfaces & (len(residual) * np.log(surface / left) <= DOUBTLESS**2)
-        # The slope along an input that hardly moves is not informative.
-        informative = noise < np.hypot(unsure, usual)
-        self._update_apparent(
-            np.abs(size), unsure, np.maximum(usual, noise), sure & ~excluded, informative
-        )
         # More than all else together: an autopilot's answers to a storm explain up to 0.4.
         explained = np.where(sure & ~excluded & (explained >= 1.0 - explained), explained, 0.0)
         changes = []
@@ -176,32 +163,9 @@ class ChangeDetector:
                 column, by, first = CONSTANT_COLUMN, step, passed
             after = Regression(signals[first:], window.rows, window.dt)
             changes.append(Change(row, column, float(by), after))
-            self.apparent[row] = 0.0
-            self._usual_before[self._row == row] = np.inf
         if changes:
             self.restart()  # relative to the new coefficients the window contains the change
         return changes
-
-    def _update_apparent(
-        self,
-        size: FloatArray,
-        unsure: FloatArray,
-        usual: FloatArray,
-        sure: BoolArray,
-        informative: BoolArray,
-    ) -> None:
-        """Update the apparent changes, (candidates,), where the slope is `informative`.
-
-        An apparent change ends when its slope is within the usual one from before it: a lasting
-        change becomes usual itself.
-        """
-        sure = sure & (size > SURE * np.hypot(unsure, usual))
-        before = np.minimum(self._usual_before, np.where(sure, usual, np.inf))
-        still = size > CLEARED * np.hypot(unsure, before)
-        self._usual_before[informative] = np.where(still, before, np.inf)[informative]
-        informative, (row, column) = informative[self._surfaces], self._places
-        apparent = np.where(still, size, 0.0)[self._surfaces]
-        self.apparent[row[informative], column[informative]] = apparent[informative]
 
     def _usual(self) -> FloatArray:
         """Return the usual slope of each candidate, rms: model errors come and go.

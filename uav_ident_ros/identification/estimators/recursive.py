@@ -193,7 +193,7 @@ class RecursiveRegression:
 
     def _known_inputs(self) -> BoolArray:
         """Return flags of rows with a known main derivative, model errors excluded, (3,)."""
-        value, sigma = self.coefficients[MAIN_DERIVATIVES], self._settled_sigma[MAIN_DERIVATIVES]
+        value, sigma = self.coefficients[MAIN_DERIVATIVES], self.sigma[MAIN_DERIVATIVES]
         return known_without_error(sigma, value, self._error.share)
 
     def _influence(self, samples: Regression) -> float:
@@ -232,10 +232,7 @@ class RecursiveRegression:
             return
         if due:
             self._known = solution, covariance
-            self._since_sigma, self._settled_sigma = 0.0, sigma
-            self.sigma = sigma.copy()
-            inputs = self.sigma[: len(ROWS), INPUT_COLUMNS]
-            inputs[:] = np.hypot(inputs, self._detector.apparent)
+            self.sigma, self._since_sigma = sigma, 0.0
         self._linear = self._layout.matrix(solution.linear[0])
         self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
         self.coefficients = values
@@ -321,7 +318,7 @@ class RecursiveRegression:
         self.changes, self.rejected = [], []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
-            sigma = self._settled_sigma[: len(ROWS), INPUT_COLUMNS]
+            sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
             for change in self._detector.look(linear, sigma):
                 column = MAIN_COLUMNS[change.row] if change.column is None else change.column
                 self.changes.append((change.row, int(column)))
