@@ -293,6 +293,17 @@ def test_sigma_does_not_fall_in_a_calm_moment_between_gusts() -> None:
     assert found[1] > 2.0 * found[0]
 
 
+def test_inputs_that_move_across_the_demand_do_not_spoil_the_next_measurement() -> None:
+    """Their product with the demand is zero by chance: no size of the effect follows from it."""
+    measured, rng = Effectiveness(), np.random.default_rng(0)
+    for k in range(500):
+        demanded, made = (np.full(3, f(0.02 * np.pi * k)) for f in (np.sin, np.cos))
+        measured.update(made + 0.1 * rng.standard_normal(3), made, 0.01, demanded)
+    measure(measured, 4.0, 1.0, 0.5, 0.05)
+    assert measured.factor == pytest.approx([0.5] * 3, abs=0.1)
+    assert (measured.sigma < 0.3).all()
+
+
 @pytest.mark.parametrize("explains", [False, True])
 def test_a_delay_replaces_a_reversal_only_if_it_explains_the_response(explains: bool) -> None:
     """The input is reversed; a delay of half a period explains the same response, or none."""

@@ -226,5 +226,7 @@ class Effectiveness:
         rest = np.maximum(variance(1, g[0]) / np.maximum(time, WINDOW), before[-1])
         spread = np.stack([np.maximum(variance(0, g[0]), rest * demanded), variance(2, g[1])])
         sigma = np.sqrt(np.maximum(spread, 0.0)) / np.abs(made)
-        sigma = np.where(known, np.clip(sigma, LEAST_SIGMA, UNKNOWN), UNKNOWN)
+        # g of a sum that is zero by chance: its size is as large as its sigma
+        known &= sigma < UNKNOWN
+        sigma = np.where(known, np.maximum(sigma, LEAST_SIGMA), UNKNOWN)
         return np.where(known, g, 1.0), sigma
