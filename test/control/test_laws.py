@@ -1,23 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """The control laws on a linear aircraft: tracking, faults, gaps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from equations import matrix
 from pid import PidController, PidGains
 from plants import (
+    DELAY_STEPS,
     DT_NS,
+    FLOW,
     LIMITS,
     START,
     STEP,
+    STRUCTURE,
+    VALUES,
     a_sample_later,
     coefficients,
     controller,
     flown,
 )
 
-from uav_ident_ros.client import Coefficients, CoefficientSource
-from uav_ident_ros.control import LAWS, IncrementalLaw
+from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
+from uav_ident_ros.control import LAWS, IncrementalLaw, RateController
 from uav_ident_ros.control.allocation import authority
 from uav_ident_ros.control.controller import Law
 from uav_ident_ros.control.reference import Smoother
@@ -82,6 +88,42 @@ def test_a_repaired_surface_is_no_longer_dead() -> None:
         seconds=12.0, each=lambda _: found.append(bool(flying.effectiveness.dead[0])),
     )  # fmt: skip
     assert [found[k] for k in (299, 690, 1199)] == [False, True, False]
+
+
+def sideslipped(until: float, usable_from: float, bank: float = 0.1) -> FloatArray:
+    """Return yaw rates less the reference, rad/s, with ailerons lost from 3 s to a time, s.
+
+    From another time on, the verdict on the roll row is usable. The bank holds from 3.7 s on.
+    """
+    values = matrix(STRUCTURE, VALUES | {"pdot/beta": -14.0, "rdot/beta": 4.0})
+    nominal = Coefficients(STRUCTURE, values, 0.02 * np.abs(values), t_ns=START)
+    source = CoefficientSource(Fallback.LAST_GOOD, nominal)
+    flying = RateController(source, nominal, LIMITS, DELAY_STEPS * DT_NS * 1e-9)
+    dead: list[bool] = []
+
+    def each(t_ns: int) -> None:
+        t = (t_ns - START) * 1e-9
+        flow = FLOW._replace(roll=bank if t > 3.7 else 0.1)
+        rows = (t >= usable_from, True, True)
+        source.add(replace(nominal, usable=False, usable_rows=rows, flow=flow, t_ns=t_ns))
+        dead.append(bool(flying.effectiveness.dead[0]))
+
+    def effect(t: float) -> FloatArray:
+        return np.array([1.0, 1.0, 0.0 if 3.0 <= t < until else 1.0, 1.0])
+
+    rates = flown(flying, effect, swaying, seconds=5.0, each=each)
+    assert any(dead)
+    return np.array([x[2] - swaying(k * DT_NS * 1e-9)[2] for k, x in enumerate(rates)])
+
+
+def test_ailerons_that_answer_again_are_not_replaced_by_sideslip() -> None:
+    """Their loss lasts half a second, and the aircraft would roll over at the rate after it."""
+    assert np.abs(sideslipped(3.45, np.inf)[300:]).max() < 0.02  # as before
+
+
+def test_rolling_by_sideslip_goes_on_if_the_roll_row_becomes_usable() -> None:
+    """Dead ailerons at a stop look like a constant moment, which leaves their derivative usable."""
+    assert np.abs(sideslipped(np.inf, 4.0, bank=0.9)[420:]).max() > 0.1  # rad/s
 
 
 def test_yaw_for_roll_includes_the_dihedral_and_the_rudder_of_the_sideslip() -> None:

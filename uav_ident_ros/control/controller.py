@@ -92,11 +92,17 @@ class RateController:
         return self._sent(t_ns, u)
 
     def _must_sideslip(self, t_ns: int, x: FloatArray) -> bool:
-        """Whether to roll by sideslip: from a predicted roll-over until the ailerons work again."""
-        dead = self.effectiveness.dead[0] and self.effect.sources[0] != IDENTIFIED
-        if not (dead and self._adaptive):
+        """Whether to roll by sideslip: from a predicted roll-over until the ailerons work again.
+
+        Ailerons that lose half of their effect in a roll look dead for an instant: a usable row, or
+        an answer of the aircraft meanwhile, contradicts that. A row may become usable with dead
+        ailerons, too, if they stand at a stop: they look like a constant moment.
+        """
+        measured = self.effectiveness
+        works = self.effect.sources[0] == IDENTIFIED or measured.recovering[0]
+        if not (measured.dead[0] and self._adaptive):
             self._rolled_over = False
-        elif not self._rolled_over:
+        elif not (self._rolled_over or works):
             newest = self._source.newest(t_ns)
             flow = None if newest is None else newest.flow
             model = self._choice.model

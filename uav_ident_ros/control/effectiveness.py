@@ -121,6 +121,11 @@ class Effectiveness:
         """Axes whose inputs act with the sign opposite to that in use, shape (3,)."""
         return np.asarray(self._log_ratio[0] >= SURE)
 
+    @property
+    def recovering(self) -> BoolArray:
+        """Dead axes whose inputs show an effect again, not yet surely, shape (3,)."""
+        return np.asarray(self.dead & (self._log_ratio[1] < 0.5 * SURE))
+
     def changed(self, axis: int) -> None:
         """Discard the measurements of an axis, after a change of its inputs."""
         integrals = (part[..., : PLACES[-1], :] for part in (self._total, self._past, self._start))
