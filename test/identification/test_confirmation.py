@@ -125,6 +125,18 @@ def test_motion_must_tell_an_effect_from_its_half(moved: float, confirmed: bool)
     assert confirmed or "to exclude half" in flight.doubts()[PITCH]
 
 
+def test_a_row_without_contradictions_is_unconfirmed_and_a_confirmed_one_stays_so() -> None:
+    """Evidence against half and twice stays, that for them goes."""
+    flight = Flight()
+    flight.fly(120.0)
+    flight.fly(60.0, 0.6)
+    assert "contradicted: half of it" in flight.doubts()[ROLL]
+    for row in (ROLL, PITCH):
+        flight.confirmed.forget_contradictions(row)
+    assert flight.doubts()[ROLL].startswith("pdot/da is unconfirmed")
+    assert flight.doubts()[PITCH] == ""
+
+
 def test_the_confirmation_of_resting_surfaces_ends_at_the_largest_age() -> None:
     flight = Flight()
     flight.fly(60.0)

@@ -12,6 +12,8 @@ import pytest
 from uav_ident_ros.identification import supervision
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.residuals import LARGEST_ODDS
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 
@@ -98,6 +100,23 @@ def test_a_usable_model_expires_while_learning_is_impossible(
     estimates = flying.run(identifier, rest)
     assert estimates[5].usable
     assert estimates[-1].usable == usable
+
+
+def test_evidence_against_an_unknown_estimate_does_not_count_against_a_known_one() -> None:
+    """The estimate of a cold start is noise, which the flight contradicts."""
+    identifier, _ = deepcopy(learned(5.0))
+    supervisor, estimator = identifier.supervisor, identifier.estimator
+    supervisor.confirmed._odds[1:, 0] = -LARGEST_ODDS
+
+    def doubt(sigma: FloatArray) -> str:
+        running = identifier.running_fit
+        return supervisor.judge(
+            35.0, estimator.coefficients, sigma, running, np.zeros(3), [""] * 3, np.inf
+        )[0]
+
+    assert doubt(estimator.sigma).startswith("pdot/da is contradicted")
+    assert doubt(np.abs(estimator.coefficients)).startswith("pdot/da has a t-ratio of 1.0")
+    assert doubt(estimator.sigma).startswith("pdot/da is unconfirmed")
 
 
 def test_without_adaptation_the_fit_is_low_on_the_axis_with_a_wrong_value() -> None:

@@ -323,6 +323,14 @@ class Confirmation:
         self._moved[row] = -math.inf
         self._turns[row].clear()
 
+    def forget_contradictions(self, row: int) -> None:
+        """Clear the evidence against the size of a row's main derivative.
+
+        An estimate that is not known has no size that the flight could contradict. Evidence against
+        the noise of a cold start would count against the later estimate for half a minute.
+        """
+        self._odds[1:, row] = np.maximum(self._odds[1:, row], 0.0)
+
     def add(
         self,
         white: RowSamples,

@@ -159,6 +159,12 @@ class Supervisor:
         settings = self.settings.supervision
         main, spread = coefficients[MAIN_DERIVATIVES], sigma[MAIN_DERIVATIVES]
         beside = sigma_without_error(spread, main, model_error)
+        unknown = [
+            _unknown_input(settings, i, main.item(i), spread.item(i)) for i in range(len(ROWS))
+        ]
+        for i, doubt in enumerate(unknown):
+            if doubt:
+                self.confirmed.forget_contradictions(i)
         relearning: dict[int, str] = {}
         for (i, j), change in list(self._relearning.items()):
             known = settings.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
@@ -176,7 +182,7 @@ class Supervisor:
             or _poor_fit(settings, running, i)
             or _unknown_input(settings, i, main.item(i), beside.item(i))  # late or not
             or _incomplete(i, float(model_error[i]), settings.min_t_ratio)
-            or _unknown_input(settings, i, main.item(i), spread.item(i))
+            or unknown[i]
             or self.confirmed.doubt(i)
             for i in range(len(ROWS))
         )
