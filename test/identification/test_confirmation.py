@@ -104,8 +104,8 @@ def test_a_failed_surface_is_contradicted_and_no_other(row: int, effect: float) 
         (0.6, "half of it explains pdot better; check the surface"),
         (0.9, ""),
         (1.3, ""),
-        (1.7, "twice of it explains pdot better; check the airspeed and the load"),
-        (4.0, "twice of it explains pdot better; check the airspeed and the load"),
+        (1.7, "twice as much explains pdot better; check the airspeed and the load"),
+        (4.0, "twice as much explains pdot better; check the airspeed and the load"),
     ],
 )
 def test_an_effect_nearer_to_half_or_to_twice_is_contradicted(effect: float, remark: str) -> None:

@@ -286,7 +286,7 @@ NO_VARIANCE = float(np.finfo(float).eps)
 OTHER_EFFECTS = {
     0.0: "{row} does not follow {surface}; check the surface",
     0.5: "half of it explains {row} better; check the surface",
-    2.0: "twice of it explains {row} better; check the airspeed and the load",
+    2.0: "twice as much explains {row} better; check the airspeed and the load",
 }
 """Effects beside the estimated one, relative to it, and the remark where one is more likely: a lost
 or reversed surface, half of one, and an aircraft that is lighter or flies faster than assumed."""
