@@ -60,6 +60,7 @@ GIVEN = {
         "LARGEST_ANGLE", "LARGEST_DEFLECTION", "ORDER", "PASSED", "REVERSED",
     },
     "rigid bodies": {"PRODUCT_SIGMA"},
+    "the definition of a wrong derivative, off by half": {"OTHER_EFFECTS"},
     "shapes by their names": {"AXES", "PULSES"},
     "memory, not results": {"BLOCK"},
     "the definition of the score": {
