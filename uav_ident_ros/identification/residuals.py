@@ -350,8 +350,8 @@ class Confirmation:
         least = np.minimum.reduce(self._squares) / self._squares_time
         noise = np.maximum(np.maximum(variance[: len(ROWS)], least), NO_VARIANCE)
         evidence = 0.5 * (squares[1:] - squares[0]) / noise
-        self._odds = _bounded(self._odds + evidence)
-        self._recent = _bounded(keep * self._recent + evidence[0])
+        self._odds = np.clip(self._odds + evidence, -LARGEST_ODDS, LARGEST_ODDS)
+        self._recent = np.clip(keep * self._recent + evidence[0], -LARGEST_ODDS, LARGEST_ODDS)
         for i, odds in enumerate(self._recent.tolist()):
             if odds == LARGEST_ODDS:
                 rested, self._moved[i] = self._now - self._moved[i], self._now
@@ -368,11 +368,11 @@ class Confirmation:
         self._now += time
         if max_age <= 0.0:
             return
+        limit = CONFIRMED / LARGEST_ODDS
         for i, turns in enumerate(self._turns):
             while turns and self._now - turns[0][0] > MEMORY:
                 turns.popleft()
             age = max_age + max((rested for _, rested in turns), default=0.0)
-            limit = CONFIRMED / LARGEST_ODDS
             self._odds[0, i] *= limit ** (time / age)
             self._odds[1:, i] *= limit ** (time / max(age, MEMORY))
 
@@ -382,15 +382,11 @@ class Confirmation:
         if min(odds) >= CONFIRMED:
             return ""
         name, surface = ROWS[row], MAIN_INPUTS[ROWS[row]]
-        if min(odds) <= -CONFIRMED:
-            likely = list(OTHER_EFFECTS.values())[odds.index(min(odds))]
-            return f"{name}/{surface} is contradicted: " + likely.format(row=name, surface=surface)
+        for against, remark in zip(odds, OTHER_EFFECTS.values(), strict=True):
+            if against <= -CONFIRMED:
+                found = remark.format(row=name, surface=surface)
+                return f"{name}/{surface} is contradicted: {found}"
         return (
             f"{name}/{surface} is unconfirmed: {surface} has moved too little of late to exclude "
             f"half and twice of it; move {surface}"
         )
-
-
-def _bounded(odds: FloatArray) -> FloatArray:
-    """Return logarithms of odds within `LARGEST_ODDS`."""
-    return np.asarray(np.minimum(np.maximum(odds, -LARGEST_ODDS), LARGEST_ODDS))
