@@ -62,6 +62,7 @@ class LightFlight(Plan):
     gust: float = 0.0  # Wind on each axis, m/s rms
     # Largest deflection of a surface, rad; it limits the commands
     travel: float = math.inf
+    servo_speed: float = math.inf  # Largest speed of a surface, rad/s
     yaw_damper: float = 0.15  # Rudder per rad/s of yaw rate
     roll_gain: float = 0.2  # Aileron per rad of bank error; a tenth of it per rad/s of roll rate
     # Rolling component of the wind, rad/s per m/s: 2 / span for eddies of the size of the wing
@@ -125,7 +126,9 @@ class _LiveLight(Live):
 
     def _fly(self, acting: FloatArray, moved: bool) -> tuple[float, ...]:
         spec, h, gust = self.spec, 1.0 / self.rate, next(self._wind)
-        surface = acting + (self._surface - acting) * self._keep
+        surface, before = acting + (self._surface - acting) * self._keep, self._surface
+        reach = spec.servo_speed * h
+        surface[:3] = np.clip(surface[:3], before[:3] - reach, before[:3] + reach)
         surface[:3] = np.clip(surface[:3], -spec.travel, spec.travel)
         self._surface = surface
         u = (surface * _left(spec.changes, INPUTS, self.time)).tolist()

@@ -260,6 +260,9 @@ def _unmodelled(series: Series) -> Iterator[Trial]:
         ("light_aircraft", "delay 150 ms longer than told", {"actuators.delay": DELAY},
          {**light, "delay": late}),
         ("light_aircraft", "commands saturate", {}, {**light, "travel": 0.04, "scale": 2.5}),
+        *(("light_aircraft", f"servos of {speed:g} rad/s, {inputs}", {},
+           {"servo_speed": speed, "inputs": inputs, "wind": 0.3})
+          for speed in (0.3, 0.5) for inputs in ("multisine", "doublet", "3211")),
         ("c172p", "delay 150 ms longer than told", {"actuators.delay": DELAY}, {"delay": late}),
         *((aircraft, label, settings, flight) for aircraft in ("light_aircraft", "c172p", "T37")
           for label, settings, flight in (

@@ -149,14 +149,28 @@ def test_the_model_error_stays_while_no_row_is_learned() -> None:
 @pytest.mark.parametrize("noise", [0.0, 0.1, 1.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_aileron_without_lag_or_saturation_has_no_model_error(noise: float, seed: int) -> None:
-    assert share(rolled(noise=noise, seed=seed))[0] < 0.01
+    error_model = ModelError(LAYOUT)
+    assert shares(rolled(noise=noise, seed=seed), error_model)[-1, 0] < 0.01
+    assert error_model.relative_error(KNOWN_ROWS)[0] < 0.06 * noise + 0.02
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_late_aileron_counts_before_it_is_significant(seed: int) -> None:
+    """The noise hides a lag of 0.12 s for a minute."""
+    error_model = ModelError(LAYOUT)
+    assert not shares(rolled(lag=0.12, noise=5.0, seed=seed), error_model)[-1].any()
+    late = error_model.relative_error(~KNOWN_ROWS)
+    assert late[0] > 0.1
+    assert late[1:].tolist() == [0.0, 0.0]
 
 
 def test_a_row_that_is_learned_anew_loses_its_model_error() -> None:
     error_model = ModelError(LAYOUT)
     assert shares(rolled(0.02), error_model)[-1, 0] > 0.1
+    shares(rolled(lag=0.12), error_model)
+    assert error_model.relative_error(KNOWN_ROWS)[0] > 0.1
     error_model.forget(0)
-    assert not error_model.share[0]
+    assert not error_model.relative_error(KNOWN_ROWS).any()
     assert not shares(rolled(), error_model)[-1, 0]
 
 
@@ -171,8 +185,9 @@ def test_an_aileron_that_answers_gusts_has_no_model_error(seed: int) -> None:
         u[k] = 0.8 * u[k - 1] - 0.01 * gusts[k] + 0.01 * rng.normal()
     samples = by_aileron(u, EFFECT * u + gusts, residual=gusts)
     assert share(samples)[0] > 0.1
-    feedback = np.array([0.5, 0.0, 0.0])
-    assert share(samples, feedback).tolist() == [0.0, 0.0, 0.0]
+    error_model, feedback = ModelError(LAYOUT), np.array([0.5, 0.0, 0.0])
+    shares(samples, error_model, feedback)
+    assert error_model.relative_error(KNOWN_ROWS).tolist() == [0.0, 0.0, 0.0]
 
 
 def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:

@@ -230,14 +230,15 @@ def _incomplete(row: int, share: float, t_ratio: float) -> str:
     The error is the share of the input's effect that is late, early or missing. The limit is
     1 / `t_ratio`, as for sigma and for the bias by wrong settings: 0.25 by default. Lags, delays
     and limits of travel that halve a control derivative give 0.33 to 0.9, a delay of 25 ms up to
-    0.2, a configured lag of 0.1 s that does not exist 0.4 and more, correct settings 0.
+    0.2, a configured lag of 0.1 s that does not exist 0.4 and more. Correct settings give 0 with
+    excitation throughout, with little of it the noise of the lateness.
     """
     if share * t_ratio <= 1.0:
         return ""
     surface = MAIN_INPUTS[ROWS[row]]
     return (
         f"{ROWS[row]} follows {surface} badly: {100.0 * min(share, 1.0):.0f} % of the effect is "
-        "late, early, or missing at large or quick deflections (a servo lag, a delay or a limit of "
-        "travel); "
-        "correct 'actuators.time_constant', 'actuators.delay' or 'actuators.upper_limit'"
+        "late, early, or missing at large or quick deflections (a servo lag, a delay, a limit of "
+        "travel or of servo speed); correct 'actuators.time_constant', 'actuators.delay' or "
+        "'actuators.upper_limit', or move the surfaces more slowly"
     )

@@ -78,15 +78,20 @@ class ModelError:
         # at most 1; 0 where not significant
         self.share: FloatArray = np.zeros(len(ROWS))
         self._early: FloatArray = np.zeros(len(ROWS))
+        # The same by lateness, significant or not, beyond what feedback may cause
+        self._late: FloatArray = np.zeros(len(ROWS))
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
 
     def relative_error(self, known: BoolArray) -> FloatArray:
-        """Return `share`, (3,), or the earliness of any of the rows `known`, (3,), if that is more.
+        """Return the most likely error of each row, (3,): `share`, lateness or earliness.
 
-        Delay and lag are one setting for all inputs; only an error of it makes a known input early.
+        Lateness counts before it is significant: noise must not hide a servo that is too slow for
+        its commands. Delay and lag are one setting for all inputs, and only an error of it makes a
+        known input early. The earliness of any of the rows `known`, (3,), therefore counts for all.
         """
-        return np.maximum(self.share, self._early.max(initial=0.0, where=known))
+        likely = np.maximum(self.share, self._late)
+        return np.maximum(likely, self._early.max(initial=0.0, where=known))
 
     def forget(self, row: int) -> None:
         """Clear the sums of a row that is learned anew."""
@@ -94,7 +99,7 @@ class ModelError:
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
         self._sure[row] = self._sure_early[row] = False
-        self.share[row] = self._early[row] = 0.0
+        self.share[row] = self._early[row] = self._late[row] = 0.0
 
     def add(
         self,
@@ -158,10 +163,11 @@ class ModelError:
         count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
         if count <= k:
             return  # too few blocks for a scatter
-        found, size, informative = self._found(
+        found, size, late, informative = self._found(
             slice(count), _BESIDE_LATENESS, self._sure, ratio, effect
         )
         moments = informative[: len(ROWS)]
+        self._late = np.where(moments, np.clip(late[: len(ROWS)], 0.0, 1.0), self._late)
         if informative[len(ROWS) :].all():
             self.height = float(size[len(ROWS) :, 0, 1].sum())
         # saturation, lateness next to it, and attenuation
@@ -169,7 +175,7 @@ class ModelError:
         self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
-            found, _, informative = self._found(
+            found, _, _, informative = self._found(
                 newest, (_SATURATION,), self._sure_early, ratio, effect
             )
             moments = informative[: len(ROWS)]
@@ -183,13 +189,15 @@ class ModelError:
         sure: BoolArray,
         ratio: FloatArray,
         effect: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Return losses by the additional regressors, their coefficients, and determined rows.
 
         The first two are (rows, others, 2), of one of `others` and of lateness, 0 where not
         significant. They are solved in units of rms and tested by their sigma; `sure` (rows,
-        others, 2) is updated. A row is determined if its input moved in more blocks than it makes
-        regressors: fewer leave no scatter.
+        others, 2) is updated. The third is the loss by lateness, (rows,), significant or not, less
+        the most that feedback may cause, by the solution of `others` that determines it best. A row
+        is determined if its input moved in more blocks than it makes regressors: fewer leave no
+        scatter.
         """
         zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
         count, width = zy.shape[1:]
@@ -216,7 +224,8 @@ class ModelError:
         answers = ratio * np.add.reduce(self._squares[:, blocks], axis=1)
         late = np.array([(other != _SATURATION, True) for other in others])
         spread = np.add.reduce(gain @ instruments * gain, axis=-1)
-        variance += answers[:, None, None] * late * spread
+        answered = answers[:, None, None] * late * spread
+        variance += answered
         # Without a prior this regression does not determine the input's own effect where a loop
         # moves it with the flow, or about one large deflection, as at another speed.
         extra, whole = linear[..., -2:], linear[range(len(zf)), :, self._entries][..., None]
@@ -226,7 +235,11 @@ class ModelError:
         least = np.where(sure, CLEARED, DOUBTLESS)
         sure[informative] = (extra**2 > least**2 * variance)[informative]
         found, size = np.where(sure, away, 0.0), np.where(sure, extra * scale[..., -2:], 0.0)
-        return found, size, informative
+        # Saturation and attenuation leave different noise in the lateness beside them.
+        main_effect = np.maximum(np.abs(whole[..., 0]), POWERLESS)
+        bias, error = (np.sqrt(v[..., 1]) / main_effect for v in (answered, variance))
+        better = range(len(zf)), error.argmin(axis=1)
+        return found, size, (away[..., 1] - bias)[better], informative
 
 
 def _solved(
