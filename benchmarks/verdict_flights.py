@@ -254,15 +254,18 @@ def _thinned(measured: Measurements) -> Measurements:
 def _unmodelled(series: Series) -> Iterator[Trial]:
     """Excitation, with servos or a mounting that the settings do not contain."""
     light, late = {"bank": 20.0, "wind": 0.5}, DELAY + 0.15
+    servos: list[dict[str, Any]] = [
+        {"servo_speed": speed, "inputs": inputs, "wind": 0.3}
+        for speed, inputs in product((0.3, 0.5), ("multisine", "doublet", "3211"))
+    ]
     for aircraft, label, settings, flight in (
         ("light_aircraft", "servo lag 120 ms", {"actuators.time_constant": 0.0},
          {**light, "time_constant": 0.12}),
         ("light_aircraft", "delay 150 ms longer than told", {"actuators.delay": DELAY},
          {**light, "delay": late}),
         ("light_aircraft", "commands saturate", {}, {**light, "travel": 0.04, "scale": 2.5}),
-        *(("light_aircraft", f"servos of {speed:g} rad/s, {inputs}", {},
-           {"servo_speed": speed, "inputs": inputs, "wind": 0.3})
-          for speed in (0.3, 0.5) for inputs in ("multisine", "doublet", "3211")),
+        *(("light_aircraft", "servos of {servo_speed:g} rad/s, {inputs}".format(**slow), {}, slow)
+          for slow in servos),
         ("c172p", "delay 150 ms longer than told", {"actuators.delay": DELAY}, {"delay": late}),
         *((aircraft, label, settings, flight) for aircraft in ("light_aircraft", "c172p", "T37")
           for label, settings, flight in (
