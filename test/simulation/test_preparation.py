@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Preparation and flight of the closed loop, in one process."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from loop import Mission, fly_loop, make_identifier, rate_controller
 from uav_ident_ros.client import Coefficients
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.simulation.aircraft import linearise_cruise
-from uav_ident_ros.simulation.preparation import Prepared, prepare, write
+from uav_ident_ros.simulation.preparation import SENSORS, Prepared, prepare, write
 
 NAME = "ultra_stick_25e"
 
@@ -91,3 +92,16 @@ def test_a_lost_aileron_leaves_the_errors_of_pitch_and_yaw_small(light: Prepared
         for faults in ((), ("8: aileron effect 0",))
     )
     assert (lost.error(10.0, 15.0)[1:] < 1.3 * healthy.error(10.0, 15.0)[1:]).all()
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_a_healthy_rudder_that_answers_gyro_noise_does_not_count_as_late(
+    light: Prepared, seed: int
+) -> None:
+    """The law passes the noise on to the rudder, which hardly moves otherwise."""
+    noisy = replace(SENSORS, gyro_noise=0.03)
+    mission = Mission(duration=20.0, seed=seed, sensors=noisy)
+    outcome = fly_loop(light, mission, rate_controller(light), make_identifier(light))
+    assert not [why for _, why in outcome.denied if "rdot follows dr badly" in why]
+    rudder = [rows[2] for t, rows in outcome.usable if t >= 10.0]
+    assert np.mean(rudder) > 0.8

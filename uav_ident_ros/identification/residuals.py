@@ -164,9 +164,10 @@ class Feedback:
     def _set_share(self, share: FloatArray, sure: BoolArray) -> None:
         # R^2 of each input, (4,); 0 where it may be chance
         self.share = np.where(sure, share, 0.0)
-        # q = R^2 / (1 - R^2) of each instrument's input, (rows, k)
-        self.ratio: FloatArray = (self.share / (1.0 - self.share))[self._driven_by]
-        root = np.sqrt((share / (1.0 - share), share, self.share))[:, self._driven_by]
+        ratio = share / (1.0 - share)
+        # q = R^2 / (1 - R^2) of each instrument's input, (rows, k), by chance or not
+        self.ratio: FloatArray = ratio[self._driven_by]
+        root = np.sqrt((ratio, share, self.share))[:, self._driven_by]
         # Of each pair of instruments the root of the product of q, of R^2, both by chance or not,
         # and of the significant R^2, (rows, 3, k, k); None without feedback
         answering = (root[..., :, None] * root[..., None, :]).swapaxes(0, 1)

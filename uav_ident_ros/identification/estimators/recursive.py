@@ -75,13 +75,12 @@ class RecursiveRegression:
         self._error = ModelError(self._layout)
         self._feedback = Feedback(self._layout)
         # The reference estimator, without the informative prior, if there is one. A prior that
-        # contradicts it is rejected. The reference's residuals serve to find feedback, since those
-        # of a wrong model follow the inputs.
+        # contradicts it is rejected.
         self._reference: SecondEstimator[RecursiveRegression] | None = None
         if start.informative(self._structure).any():
             weak = start.weakened(self._structure)
             blank = RecursiveRegression(weak, settings, instrumental=instrumental)
-            self._reference, self._feedback = SecondEstimator(blank, self._layout), blank._feedback
+            self._reference = SecondEstimator(blank, self._layout)
         self._power: FloatArray = np.zeros(len(ROWS))  # Mean square of the rates
         self._injected = self._ever_injected = False
         self.problem = ""
@@ -153,10 +152,9 @@ class RecursiveRegression:
         if samples.injected:
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
-        elif not self._reference:
+        else:
             known = np.abs(self._known[0].values[1][MAIN_DERIVATIVES])  # whitened
             self._feedback.add(samples, moments, weight, known)
-        if not samples.injected:
             self.answers = self._feedback.share
         # Injected signals contain no disturbance.
         answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
@@ -172,7 +170,9 @@ class RecursiveRegression:
         self.height = self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
-        answering = None if samples.injected else self._feedback.answering
+        # The residuals of a wrong model follow the inputs: its reference knows the feedback better.
+        reference = self._reference.estimator if self._reference else self
+        answering = None if samples.injected else reference._feedback.answering
         self.information.add(parts, weight, answering)
         self._follow_changes(samples)
         if self._reference and reference_has_learned:
@@ -294,7 +294,7 @@ class RecursiveRegression:
         self.start = self._start.weakened(self._structure, against)
         self._since_sigma = np.inf
         if not self._start.informative(self._structure).any():
-            self._reference = None
+            self._reference, self._feedback = None, reference._feedback
 
     def reconfigure(self, settings: Settings) -> None:
         """Apply the settings that may change in flight."""
