@@ -165,16 +165,7 @@ class Supervisor:
         for i, doubt in enumerate(unknown):
             if doubt:
                 self.confirmed.forget_contradictions(i)
-        relearning: dict[int, str] = {}
-        for (i, j), change in list(self._relearning.items()):
-            known = settings.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
-            known = known or sigma[i, j] <= change.sigma
-            # sigma is small before that, but from the samples that selected the change
-            if known and t - change.t > WINDOW_TIME:
-                del self._relearning[i, j]
-            else:
-                why = "contradicts its prior" if change.prior_rejected else "changed in flight"
-                relearning[i] = f"{change.name} {why} and is learned anew"
+        relearning = self._relearned(t, coefficients, sigma)
         first, second, third = (
             relearning.get(i)
             or denied[i]
@@ -188,6 +179,20 @@ class Supervisor:
         )
         self.proven = self.proven or not (first or second or third)
         return first, second, third
+
+    def _relearned(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> dict[int, str]:
+        """Return the reason against each row with a coefficient that is learned anew."""
+        reasons: dict[int, str] = {}
+        for (i, j), change in list(self._relearning.items()):
+            known = self.settings.supervision.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
+            known = known or sigma[i, j] <= change.sigma
+            # sigma is small before that, but from the samples that selected the change
+            if known and t - change.t > WINDOW_TIME:
+                del self._relearning[i, j]
+            else:
+                why = "contradicts its prior" if change.prior_rejected else "changed in flight"
+                reasons[i] = f"{change.name} {why} and is learned anew"
+        return reasons
 
     def state(self, verdict: Verdict) -> tuple[State, str]:
         """Return the state, and the reason why it is not learning or not usable."""
