@@ -48,7 +48,7 @@ class Flight:
             residual = self._gust + (actual - ESTIMATED) @ self._u
             f = np.zeros((1, 15))
             f[0, INPUT_COLUMNS] = self._u
-            samples = Regression.of(np.zeros((1, 3)), f, f, DT)
+            samples = Regression.of((ESTIMATED @ self._u + residual)[None], f, f, DT)
             sample = RowSamples.of(samples, residual[None], LAYOUT)
             white = self._noise.whiten(sample, restarted=self.restarted)
             self.restarted = False
@@ -117,6 +117,32 @@ def test_an_effect_nearer_to_half_or_to_twice_is_contradicted(effect: float, rem
     flight.fly(60.0, effect)
     expected = f"pdot/da is contradicted: {remark}" if remark else ""
     assert flight.doubts() == [expected, "", ""]
+
+
+@pytest.mark.parametrize(("scale", "contradicted"), [(1.0, False), (2.0, True)])
+def test_twice_the_row_is_contradicted_where_damping_balances_the_surface(
+    scale: float, contradicted: bool
+) -> None:
+    """The moment is that of the last changes of the aileron alone."""
+    rng, n = np.random.default_rng(1), round(60.0 / DT)
+    da, gust, damped = np.zeros(n), np.zeros(n), np.zeros(n)
+    for k in range(1, n):
+        da[k] = 0.98 * da[k - 1] + 0.01 * rng.normal()
+        gust[k] = 0.9 * gust[k - 1] + 0.1 * rng.normal()
+        damped[k] = damped[k - 1] + 0.5 * (da[k - 1] - damped[k - 1])
+    moment = ESTIMATED[ROLL, INPUTS.index("da")] * (da - damped)
+    f, y, residual = np.zeros((n, 15)), np.zeros((n, 3)), np.zeros((n, 3))
+    f[:, INPUT_COLUMNS.start + INPUTS.index("da")] = da
+    y[:, ROLL], residual[:, ROLL] = scale * moment + gust, (scale - 1.0) * moment + gust
+    rows = RowSamples.of(Regression.of(y, f, f, DT), residual, LAYOUT)
+    confirmed, noise = Confirmation(), NoiseModel(3)
+    for k in range(n):
+        white = noise.whiten(RowSamples(rows.signals[:, k : k + 1], DT), restarted=k == 0)
+        effect = LAYOUT.main_effect(ESTIMATED, white)
+        confirmed.add(white, effect, noise.variance, MAX_AGE)
+    expected = "pdot/da is contradicted: twice all of pdot explains the flight better; "
+    expected += "check the airspeed and the load"
+    assert confirmed.doubt(ROLL) == (expected if contradicted else "")
 
 
 @pytest.mark.parametrize(("moved", "confirmed"), [(0.06, False), (0.3, True)])

@@ -285,15 +285,20 @@ NO_VARIANCE = float(np.finfo(float).eps)
 """Variance below which a residual counts as zero, rad^2/s^4."""
 
 OTHER_EFFECTS = {
-    0.0: "{row} does not follow {surface}; check the surface",
-    0.5: "half of it explains {row} better; check the surface",
-    2.0: "twice as much explains {row} better; check the airspeed and the load",
+    (0.0, 1.0): "{row} does not follow {surface}; check the surface",
+    (0.5, 1.0): "half of it explains {row} better; check the surface",
+    (2.0, 1.0): "twice as much explains {row} better; check the airspeed and the load",
+    (1.0, 2.0): "twice all of {row} explains the flight better; check the airspeed and the load",
 }
-"""Effects beside the estimated one, relative to it, and the remark where one is more likely: a lost
-or reversed surface, half of one, and an aircraft that is lighter or flies faster than assumed."""
+"""Effects beside the estimated ones, relative to them, of the surface and of the whole row, and the
+remark where one is more likely: a lost or reversed surface, half of one, and an aircraft that is
+lighter or flies faster than assumed. The latter shows in the surface alone where it is excited, and
+in the whole row where damping balances the surface. Half of a row has no entry: feedback makes all
+of it look smaller."""
 
-_LEFT = 1.0 - np.array([1.0, *OTHER_EFFECTS])[:, None, None]
-"""Share of the estimated effect in the residual by each hypothesis; that of the estimate first."""
+_LEFT = 1.0 - np.array([(1.0, 1.0), *OTHER_EFFECTS])[:, :, None, None]
+"""Shares of the estimated effects, of surface and row, in the residual by each hypothesis; those of
+the estimate first."""
 
 
 class Confirmation:
@@ -311,7 +316,7 @@ class Confirmation:
         self._now = 0.0  # Time since the start, s
         # Evidence of the last `INDEPENDENT_TIME` that the surface has an effect at all
         self._recent: FloatArray = np.zeros(len(ROWS))
-        # Squared residuals of that time, times dt, with the estimated effect and each other one
+        # Squared residuals of that time, times dt, with the estimated effects and each other ones
         self._squares: FloatArray = np.zeros((len(_LEFT), len(ROWS)))
         self._squares_time = 0.0
         self._moved = [-math.inf] * len(ROWS)  # Last time that reached the bound, s
@@ -340,7 +345,9 @@ class Confirmation:
         max_age: float,  # Time in which a confirmation fades at rest, s; 0: never
     ) -> None:
         """Add whitened samples to the evidence."""
-        residual = white.residual[: len(ROWS)] + _LEFT * effect
+        left = white.residual[: len(ROWS)]
+        whole = white.y[: len(ROWS)] - left
+        residual = left + _LEFT[:, 0] * effect + _LEFT[:, 1] * whole
         squares = np.add.reduce(residual * residual, axis=2)
         time = effect.shape[1] * white.dt
         self.fade(time, max_age)
