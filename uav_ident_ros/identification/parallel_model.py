@@ -11,7 +11,7 @@ import numpy as np
 
 from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.model import IdentifiedModel, bounded
-from uav_ident_ros.identification.prediction import HORIZONS, LAST_PART
+from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.sampling import Block, edge_values, join
 from uav_ident_ros.identification.scales import MEMORY, RESPONSE_TIME
 from uav_ident_ros.identification.settings import Settings
@@ -127,12 +127,8 @@ class RunningFit:
         self.fit: FloatArray = np.zeros(3)
         self.hold: FloatArray = np.zeros(3)
         self.saved: FloatArray = np.zeros(3)
-        # The same over the last part of the flight so far
-        self.flight_fit: FloatArray = np.zeros(3)
-        self.flight_hold: FloatArray = np.zeros(3)
         self.predictions = 0  # Counted so far
         self._sums: FloatArray = np.zeros((6, 3))
-        self._flight: FloatArray = np.zeros((6, 3))
         self.forget()
 
     def restart(self) -> None:
@@ -145,7 +141,6 @@ class RunningFit:
         self.restart()
         self._age = 0.0
         self._sums.fill(0.0)
-        self._flight.fill(0.0)
 
     def save(self) -> None:
         """Note that the coefficients in use are saved: up to now both have the same errors."""
@@ -181,21 +176,20 @@ class RunningFit:
             now[_SAVED] = self._error(second, self._saved)
         self.predictions += 1
         self._age += self._time
-        self._sums = self._added(self._sums, now, min(MEMORY, 0.5 * self._age))
-        self._flight = self._added(self._flight, now, LAST_PART * self._age)
+        self._add_to_sums(now)
         self.fit, self.hold, self.saved = _fit(self._sums)
-        self.flight_fit, self.flight_hold, _ = _fit(self._flight)
         if self._saved is None:
             self.saved = np.zeros(3)
 
-    def _added(self, sums: FloatArray, now: FloatArray, memory: float) -> FloatArray:
-        """Return sums with those of a second added; older ones fade with `memory`, s."""
-        sums = np.exp(-self._time / memory) * sums + now
+    def _add_to_sums(self, now: FloatArray) -> None:
+        """Add the sums of a second; older ones fade."""
+        sums = self._sums
+        sums *= np.exp(-self._time / min(MEMORY, 0.5 * self._age))
+        sums += now
         typical = _spread(sums) * now[0] / sums[0]
         failed = FAILED_PREDICTION * np.maximum(_spread(now), typical)
         errors = slice(_SPREAD.stop, None)
         sums[errors] -= np.maximum(now[errors] - failed, 0.0)
-        return np.asarray(sums)
 
     def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
         """Return the sum of the squared errors of a prediction, shape (3,)."""

@@ -148,9 +148,9 @@ class Supervisor:
     ) -> Verdict:
         """Return the verdict on the coefficients, row by row.
 
-        A row is usable if it predicts the next second clearly better than holding the rate does,
-        both recently and over the flight. Its main control derivative must have a small sigma, and
-        must have been confirmed recently by the motion of its input.
+        A row is usable if it has lately predicted the next second better than holding the rate
+        does. Its main control derivative must have a small sigma, and must have been confirmed
+        recently by the motion of its input.
         """
         self._sigma = sigma
         young = "" if running.predictions else "no prediction of one second is complete yet"
@@ -207,17 +207,14 @@ class Supervisor:
 
 def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str:
     """Return the reason against an axis by its prediction fit; empty if there is none."""
-    for when, fit, hold in (
-        ("of late", running.fit.item(i), running.hold.item(i)),
-        ("over the flight", running.flight_fit.item(i), running.flight_hold.item(i)),
-    ):
-        needed = max(settings.min_fit, hold)
-        if not fit >= needed:
-            return (
-                f"the 1-second prediction fit of {AXES[i]} {when} is {fit:.0f} % "
-                f"(holding the rate: {hold:.0f} %, needed: {needed:.0f} %)"
-            )
-    return ""
+    fit, hold = running.fit.item(i), running.hold.item(i)
+    needed = max(settings.min_fit, hold)
+    if fit >= needed:
+        return ""
+    return (
+        f"the 1-second prediction fit of {AXES[i]} of late is {fit:.0f} % "
+        f"(holding the rate: {hold:.0f} %, needed: {needed:.0f} %)"
+    )
 
 
 def _unknown_input(settings: SupervisionSettings, row: int, value: float, sigma: float) -> str:
