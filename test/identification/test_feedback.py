@@ -82,6 +82,7 @@ def test_a_correlation_by_chance_is_a_possible_answer_without_a_share() -> None:
     detected = detect_feedback(*fly(0.0, 0.01, seconds=30.0))
     assert detected.answering is not None
     assert detected.answering.max() > 0.01
+    assert detected.ratio.max() > 0.01
     assert not detected.share.any()
     assert not detected.answering[:, 2].any()
 
