@@ -345,9 +345,9 @@ class Confirmation:
         max_age: float,  # Time in which a confirmation fades at rest, s; 0: never
     ) -> None:
         """Add whitened samples to the evidence."""
-        left = white.residual[: len(ROWS)]
-        whole = white.y[: len(ROWS)] - left
-        residual = left + _LEFT[:, 0] * effect + _LEFT[:, 1] * whole
+        estimated = white.residual[: len(ROWS)]
+        explained = white.y[: len(ROWS)] - estimated  # by the whole row
+        residual = estimated + _LEFT[:, 0] * effect + _LEFT[:, 1] * explained
         squares = np.add.reduce(residual * residual, axis=2)
         time = effect.shape[1] * white.dt
         self.fade(time, max_age)
