@@ -45,15 +45,18 @@ class Flight:
         for _ in range(round(seconds / DT)):
             self._gust = 0.9 * self._gust + gust * self._rng.normal(size=3)
             self._u = 0.8 * self._u + 0.03 * moved * self._rng.normal(size=4)
-            residual = self._gust + (actual - ESTIMATED) @ self._u
-            f = np.zeros((1, 15))
-            f[0, INPUT_COLUMNS] = self._u
-            samples = Regression.of((ESTIMATED @ self._u + residual)[None], f, f, DT)
-            sample = RowSamples.of(samples, residual[None], LAYOUT)
-            white = self._noise.whiten(sample, restarted=self.restarted)
-            self.restarted = False
-            effect = LAYOUT.main_effect(ESTIMATED, white)
-            self.confirmed.add(white, effect, self._noise.variance, self.max_age)
+            self.add(self._u, actual @ self._u + self._gust, ESTIMATED @ self._u)
+
+    def add(self, u: np.ndarray, measured: np.ndarray, estimated: np.ndarray) -> None:
+        """Add a sample: inputs (4,), measured and estimated angular acceleration (3,), rad/s^2."""
+        f = np.zeros((1, 15))
+        f[0, INPUT_COLUMNS] = u
+        samples = Regression.of(measured[None], f, f, DT)
+        sample = RowSamples.of(samples, (measured - estimated)[None], LAYOUT)
+        white = self._noise.whiten(sample, restarted=self.restarted)
+        self.restarted = False
+        effect = LAYOUT.main_effect(ESTIMATED, white)
+        self.confirmed.add(white, effect, self._noise.variance, self.max_age)
 
     def doubts(self) -> list[str]:
         return [self.confirmed.doubt(row) for row in range(3)]
@@ -124,25 +127,17 @@ def test_twice_the_row_is_contradicted_where_damping_balances_the_surface(
     scale: float, contradicted: bool
 ) -> None:
     """The moment is that of the last changes of the aileron alone."""
-    rng, n = np.random.default_rng(1), round(60.0 / DT)
-    da, gust, damped = np.zeros(n), np.zeros(n), np.zeros(n)
-    for k in range(1, n):
-        da[k] = 0.98 * da[k - 1] + 0.01 * rng.normal()
-        gust[k] = 0.9 * gust[k - 1] + 0.1 * rng.normal()
-        damped[k] = damped[k - 1] + 0.5 * (da[k - 1] - damped[k - 1])
-    moment = ESTIMATED[ROLL, INPUTS.index("da")] * (da - damped)
-    f, y, residual = np.zeros((n, 15)), np.zeros((n, 3)), np.zeros((n, 3))
-    f[:, INPUT_COLUMNS.start + INPUTS.index("da")] = da
-    y[:, ROLL], residual[:, ROLL] = scale * moment + gust, (scale - 1.0) * moment + gust
-    rows = RowSamples.of(Regression.of(y, f, f, DT), residual, LAYOUT)
-    confirmed, noise = Confirmation(), NoiseModel(3)
-    for k in range(n):
-        white = noise.whiten(RowSamples(rows.signals[:, k : k + 1], DT), restarted=k == 0)
-        effect = LAYOUT.main_effect(ESTIMATED, white)
-        confirmed.add(white, effect, noise.variance, MAX_AGE)
+    rng, flight = np.random.default_rng(1), Flight()
+    aileron, gust, u, damped = np.eye(4)[INPUTS.index("da")], np.zeros(3), np.zeros(4), np.zeros(4)
+    for _ in range(round(60.0 / DT)):
+        damped = damped + 0.5 * (u - damped)
+        u = 0.98 * u + 0.01 * rng.normal() * aileron
+        gust[ROLL] = 0.9 * gust[ROLL] + 0.1 * rng.normal()
+        moment = ESTIMATED @ (u - damped)
+        flight.add(u, scale * moment + gust, moment)
     expected = "pdot/da is contradicted: twice all of pdot explains the flight better; "
     expected += "check the airspeed and the load"
-    assert confirmed.doubt(ROLL) == (expected if contradicted else "")
+    assert flight.doubts()[ROLL] == (expected if contradicted else "")
 
 
 @pytest.mark.parametrize(("moved", "confirmed"), [(0.06, False), (0.3, True)])

@@ -316,7 +316,7 @@ class Confirmation:
         self._now = 0.0  # Time since the start, s
         # Evidence of the last `INDEPENDENT_TIME` that the surface has an effect at all
         self._recent: FloatArray = np.zeros(len(ROWS))
-        # Squared residuals of that time, times dt, with the estimated effects and each other ones
+        # Squared residuals of that time, times dt, by the estimated effects and by each other pair
         self._squares: FloatArray = np.zeros((len(_LEFT), len(ROWS)))
         self._squares_time = 0.0
         self._moved = [-math.inf] * len(ROWS)  # Last time that reached the bound, s

@@ -152,12 +152,15 @@ class RecursiveRegression:
         if samples.injected:
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
+            answers, answering = np.zeros(len(ROWS)), None  # Injected signals have no disturbance.
         else:
             known = np.abs(self._known[0].values[1][MAIN_DERIVATIVES])  # whitened
             self._feedback.add(samples, moments, weight, known)
             self.answers = self._feedback.share
-        # Injected signals contain no disturbance.
-        answers = (not samples.injected) * self._feedback.ratio[range(len(ROWS)), self._layout.main]
+            answers = self._feedback.ratio[range(len(ROWS)), self._layout.main]
+            # Residuals of a wrong model follow the inputs: its reference knows the feedback better.
+            reference = self._reference.estimator if self._reference else self
+            answering = reference._feedback.answering
         # An input that answers gusts looks late. Without knowledge a priori either denies the row.
         ratio, rolls = answers * self._known_a_priori, float(answers[0])
         effect = self._linear[MAIN_DERIVATIVES]
@@ -170,9 +173,6 @@ class RecursiveRegression:
         self.height = self._error.height
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
-        # The residuals of a wrong model follow the inputs: its reference knows the feedback better.
-        reference = self._reference.estimator if self._reference else self
-        answering = None if samples.injected else reference._feedback.answering
         self.information.add(parts, weight, answering)
         self._follow_changes(samples)
         if self._reference and reference_has_learned:
