@@ -20,7 +20,8 @@ Writes for each flight the bag 'estimates', summary.json, coefficients.yaml and 
 
 EXIT_STATUS = f"""\
 exit status:
-  {USABLE}  the model is usable: the verdict of its last tick, as a controller would have read it
+  {USABLE}  the model is usable: by the verdict of its last tick, and no axis loses to holding the
+     rate over the last part of the flight
   {NOT_USABLE}  the bag was replayed, but its model is not usable
   {NO_RESULT}  no result: a bag, topic or parameter cannot be used
   of several bags the largest counts; with --compare that of the best configuration, unless one

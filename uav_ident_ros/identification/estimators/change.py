@@ -109,9 +109,9 @@ class ChangeDetector:
     def look(
         self,
         coefficients: FloatArray,  # (rows, c) The whitened estimate, as the residuals are
-        # (3, 4) Standard deviations of its control derivatives: a slope within them is learning, no
-        # change. The smaller of those now and before the window counts: a change increases the
-        # present ones.
+        # (3, 4) Published standard deviations of the control derivatives: a slope within them is
+        # learning, no change. The smaller of those now and before the window counts: a change
+        # increases the present ones.
         sigma: FloatArray,
     ) -> list[Change]:
         """Return the detected changes, at most one in each row.
