@@ -147,7 +147,8 @@ def test_a_killed_process_affects_its_own_bag_alone(logs: Path, tmp_path: Path) 
     assert second.startswith(f"tuesday {NOT_USABLE}")
 
 
-def test_interrupt_ends_every_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_interrupt_ends_every_process(number: signal.Signals, tmp_path: Path) -> None:
     bags = [str(BAGS / "multisine")] * 3
     command = [sys.executable, "-m", "uav_ident_ros.offline", *bags, "--jobs", "2"]
     process = subprocess.Popen(
@@ -156,7 +157,8 @@ def test_interrupt_ends_every_process(tmp_path: Path) -> None:
     )  # fmt: skip
     # the processes are starting or running
     assert wait_for(lambda: len(children(process.pid)) >= 2)
-    os.killpg(process.pid, signal.SIGINT)
+    # a terminal sends Ctrl-C to the whole group, `kill` and the end of a session to one process
+    (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
     output, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert "bags:" not in output

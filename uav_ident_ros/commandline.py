@@ -49,8 +49,13 @@ def _interrupt(*_: object) -> NoReturn:
 
 
 def end_as_on_ctrl_c() -> None:
-    """Treat SIGTERM as Ctrl-C, so that children end and the terminal is restored."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    """Treat SIGTERM and SIGHUP as Ctrl-C: children end, the terminal is restored.
+
+    A signal that is ignored, as SIGHUP under nohup, stays so.
+    """
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
 
 
 def reader_has_gone() -> None:

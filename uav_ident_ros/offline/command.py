@@ -11,7 +11,7 @@ from pathlib import Path
 
 from uav_ident_ros.bags.reading import STORAGE_SUFFIXES, BagError
 from uav_ident_ros.bags.writing import BagWriteError
-from uav_ident_ros.commandline import INTERRUPTED, reader_has_gone
+from uav_ident_ros.commandline import INTERRUPTED, end_as_on_ctrl_c, reader_has_gone
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.fleet import arrow, rows_of, write_flights
@@ -137,6 +137,7 @@ def _one(options: argparse.Namespace) -> int:
 
 def _all(jobs: Sequence[Job], options: argparse.Namespace) -> list[Outcome]:
     """Run the jobs and print their warnings."""
+    end_as_on_ctrl_c()
     outcomes = replay_all(jobs, options.jobs, options.scheduler)
     _warn(*(f"{o.job.name}: {warning}" for o in outcomes for warning in o.warnings))
     return outcomes

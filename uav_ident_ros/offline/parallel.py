@@ -15,6 +15,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 
@@ -30,6 +31,9 @@ DONE_FILE = "replayed.json"
 ATTEMPTS = 3
 """Attempts at a flight whose worker of the cluster has ended: a bag that ends every worker must not
 end all of them."""
+
+ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+"""Signals that end the command, and all its processes."""
 
 Outcomes = Iterator[tuple[Job, Outcome | None]]
 """Jobs with their outcomes, in the order of completion; None if the process of a job has ended."""
@@ -80,12 +84,12 @@ def _local(jobs: Sequence[Job], workers: int) -> Outcomes:
 
 
 def _submit(executor: Executor, jobs: Sequence[Job]) -> Outcomes:
-    # Ctrl-C must not reach the processes: this one ends them.
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    # Ctrl-C must not reach the processes: this one ends them, and not while it starts one.
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:
         futures = {executor.submit(work, job): job for job in jobs}
     finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
     for future in as_completed(futures):
         error = future.exception()
         gone = isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker"
@@ -97,7 +101,9 @@ def _pool(workers: int) -> Iterator[Executor]:
     """Open a pool of processes; an exception ends them at once."""
     # Started by the pool, the tracker would receive Ctrl-C.
     resource_tracker.ensure_running()
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+    # They inherit the blocked signals, but must end by SIGTERM.
+    ready = partial(signal.pthread_sigmask, signal.SIG_UNBLOCK, ENDING - {signal.SIGINT})
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), ready)
     try:
         yield pool
     except BaseException:
