@@ -40,6 +40,8 @@ OLD_FORMATS: dict[str, tuple[str, str]] = {
     "IMU2": ("Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
     "RCOU": ("Ihhhhhhhh", f"TimeMS,{_PINS}"),
     "RATE": ("Iffffffffffff", "TimeMS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut,ADes,A,AOut"),
+    "ARM": ("IBH", "TimeMS,ArmState,ArmChecks"),
+    "GPS": ("BIHfI", "Status,TimeMS,Week,Spd,T"),
 }
 """Formats of 2014: milliseconds, no instances, no units."""
 

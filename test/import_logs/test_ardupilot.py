@@ -311,6 +311,9 @@ def old_log(
     rows += at(imu_ms, "IMU2", np.hstack([3.0 * RATES, FORCE]))
     rows += at(command_ms, "RCOU", np.hstack([PULSES, 0 * PULSES]))
     rows += at(command_ms, "RATE", requested)
+    rows += [(int(imu_ms[0]), "ARM", (1, 0))]
+    # TimeMS of GPS is the time of the week, T that since the start
+    rows += [(int(t), "GPS", (3, 400_000_000 + t, 1871, 18.0, t)) for t in command_ms[::10]]
     return write_dataflash(folder / "old.bin", rows, values, OLD_FORMATS)
 
 
@@ -360,6 +363,8 @@ def test_surfaces_of_a_plane_log_of_2014_follow_from_the_sticks(importer: Import
         values["actuators.scale"], [2 / 800, -2 / 800, 1 / 800, 2 / 800], rtol=1e-12
     )
     assert "are on the pins of their sticks (RCMAP_*)" in printed
+    assert values["airspeed.reference"] == 18.0
+    assert "armed for 1.2 s in 1 stretch(es) (ARM)" in printed
 
 
 def test_the_demands_replace_paired_surfaces_in_logs_of_2014(importer: Importer) -> None:

@@ -20,8 +20,10 @@ Column = NDArray[Any]
 IN_NS = "stamp [ns]"
 """Name of a column of stamps in ns."""
 
-STAMPS = {IN_NS: 1, "timestamp": NS_PER_US, "TimeUS": NS_PER_US, "TimeMS": 1_000_000}
-"""Fields of the time since the autopilot's start, and their unit in ns; TimeMS until 2015."""
+_MS = 1_000_000
+STAMPS = {IN_NS: 1, "timestamp": NS_PER_US, "TimeUS": NS_PER_US, "T": _MS, "TimeMS": _MS}
+"""Fields of the time since the autopilot's start, and their unit in ns; TimeMS until 2015. That of
+GPS was the time of the week, beside T since the start."""
 
 SAMPLED = ("timestamp_sample", "SampleUS")
 """Fields of the sample time of a message's values, us."""
