@@ -14,7 +14,7 @@ from programs import Capture
 
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.salvage import SalvageReader
-from uav_ident_ros.bags.writing import BagWriter, plain
+from uav_ident_ros.bags.writing import BagWriter, plain, qos
 from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE
 
 SECONDS, MESSAGES = 12, 12 * 250 + 2
@@ -118,6 +118,32 @@ def test_a_bad_chunk_is_omitted_and_the_rest_is_used(where: str, flight: Path, c
     assert line.startswith(f"'flight.mcap' is damaged: 1 of {len(places)} chunks are left out")
     begin, end = ((m[1] - whole[0][1]) * 1e-9 for m in (lost[0], lost[-1]))
     assert f"between {begin:.1f} s and {end:.1f} s after its start" in line
+
+
+@pytest.mark.parametrize("index", [True, False])
+def test_the_loss_in_a_chunk_without_checksum_is_counted(index: bool, tmp_path: Path) -> None:
+    """A damaged record passes for one of another kind, and ends the chunk too soon."""
+    path = excerpts.excerpt(tmp_path / "bag", 3.0) / "bag.mcap"
+    whole, _ = messages(path)
+    content = path.read_bytes()
+    spoil(path, content.index(whole[len(whole) // 2][2]) - 31, 3)  # its kind and its length
+    if not index:
+        spoil(path, len(content) - 28, 8)
+    found, (line,) = messages(path)
+    assert set(found) < set(whole)
+    assert line.startswith(f"'bag.mcap' lacks {len(whole) - len(found)} messages of its index; ")
+
+
+def test_metadata_with_another_qos_hide_no_message(tmp_path: Path) -> None:
+    path = excerpts.excerpt(tmp_path / "bag", 1.0)
+    whole, _ = messages(path)
+    with BagWriter(tmp_path / "other") as other:
+        for topic, name in excerpts.TYPES.items():
+            other.topic(topic, name, qos())
+        for message in whole:
+            other.write(*message)
+    (tmp_path / "other" / "other.mcap").replace(path / "bag.mcap")
+    assert messages(path) == (whole, [])
 
 
 @pytest.mark.parametrize("profile", [False, True])

@@ -147,13 +147,15 @@ class Bag:
             connections = [c for c in reader.connections if c.topic in topics]
             if not connections:
                 continue
-            count = 0
+            count, expected = 0, sum(c.msgcount for c in connections)
             try:
                 for connection, log_ns, data in reader.messages(connections):
                     if isinstance(reader, ReaderOfRos1):
                         data = self._of_ros_2(data, connection)
                     count += 1
                     yield Message(connection.topic, log_ns, data)
+                if count < expected:  # rosbags ends a chunk without checksum where it is damaged
+                    raise SalvageError(f"{expected - count} of {expected} messages are missing")
             except Exception as error:
                 # Damaged bytes make the parser fail in many ways: struct, zstd, reader errors.
                 yield from islice(self._saved(reader, topics, count, _reason(error)), count, None)

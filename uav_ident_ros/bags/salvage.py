@@ -22,7 +22,7 @@ from typing import IO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, MessageIndex, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.interfaces import (
     Connection,
@@ -93,7 +93,7 @@ class SalvageReader:
 
     def _scan(self, file: IO[bytes]) -> str:
         """Read the whole file; return its defects, empty if there are none."""
-        chunks, torn, cut = 0, 0, False
+        chunks, torn, cut, indexed = 0, 0, False, 0
         for part in _parts(file):
             before, ended = self._counts.total(), False
             chunks += part.times_ns is not None
@@ -101,6 +101,7 @@ class SalvageReader:
                 for record in _records(file, part):
                     self._take(record)
                     ended = ended or isinstance(record, DataEnd)
+                    indexed += len(record.records) if isinstance(record, MessageIndex) else 0
             except Exception:  # damaged bytes make the parser fail in many ways
                 if part.times_ns is not None:
                     self._lost.append(part.times_ns)
@@ -121,6 +122,8 @@ class SalvageReader:
             )
         found += [f"cannot be read in {torn} places between chunks"] * (torn > 0)
         found += ["is cut off at its end"] * cut
+        if not found and self._counts.total() < indexed:  # chunks without checksum
+            found.append(f"lacks {indexed - self._counts.total()} messages of its index")
         return " and ".join(found)
 
     def _take(self, record: McapRecord) -> None:
