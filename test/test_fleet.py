@@ -143,6 +143,9 @@ def test_aircraft_and_structures_are_pooled_separately() -> None:
     assert fleet[1].unusable == (("broken", "no result: no bag"),)
     (alone,) = fleet_of([failed])
     assert alone.pooled == {}
+    (several,) = fleet_of(replace(row, flight="flight") for row in rows)  # of several tables
+    assert several.flights == ("flight", *(f"flight_{k}" for k in range(2, 15)))
+    assert several.pooled == fleet[0].pooled
 
 
 def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Capture) -> None:

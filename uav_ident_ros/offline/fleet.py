@@ -10,8 +10,9 @@ flights, for every number of them, with that of the flights before (Siegmund and
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -297,13 +298,19 @@ def fleet_of(rows: Iterable[FlightRow]) -> list[Aircraft]:
 
     An aircraft whose models have several structures occurs once for each.
     """
-    ordered = sorted(rows, key=attrgetter("aircraft", "start_ns", "flight"))
+    one_flight = attrgetter("start_ns", "flight", "bag")
+    ordered = sorted(rows, key=lambda row: (row.aircraft, *one_flight(row)))
     fleet = []
     for name, flights in groupby(ordered, key=attrgetter("aircraft")):
         unusable: list[tuple[str, str]] = []
         usable: dict[str, list[list[FlightRow]]] = {}
-        for flight, own in groupby(flights, key=attrgetter("flight")):
+        seen: Counter[str] = Counter()
+        for _, own in groupby(flights, key=one_flight):
             first, *others = own
+            seen[flight := first.flight] += 1
+            if seen[flight] > 1:  # names are unique in a table, not in several
+                flight = f"{flight}_{seen[flight]}"
+                first = replace(first, flight=flight)
             if first.verdict == VERDICTS[USABLE]:
                 usable.setdefault(first.structure, []).append([first, *others])
             else:
