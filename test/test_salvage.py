@@ -354,6 +354,16 @@ def test_an_actuator_topic_without_messages_is_noted(tmp_path: Path) -> None:
     assert summary["notes"] == ["/actuators has no messages that could be used: nothing is learned"]
 
 
+def test_a_channel_that_no_message_has_is_noted(tmp_path: Path) -> None:
+    bag, channels = excerpts.excerpt(tmp_path / "bag", 2.0), ["elevator", "rudder", "thrust"]
+    mixing = {f"actuators.mixing.{name}": [1.0, 0.0, 0.0] for name in ("de", "dr", "da", "dth")}
+    values = {"actuators.channels": channels, **mixing}
+    file = excerpts.parameter_file(tmp_path / "wrong.yaml", **values)
+    assert excerpts.replay(bag, tmp_path / "out", by=file) == NOT_USABLE
+    (note,) = excerpts.summary(tmp_path / "out")["notes"]
+    assert "could be used: there is no channel 'thrust' among elevator, rudder, aileron," in note
+
+
 def test_of_two_imu_topics_the_one_with_the_default_name_is_read(tmp_path: Path) -> None:
     def doubled(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
         return [(topic, at, message)] + ([("/imu_2", at, message)] if topic == excerpts.IMU else [])

@@ -222,6 +222,10 @@ class OfflineRun:
         feed = self._feeds[stream]
         return Refusals(feed.received, dict(sorted(feed.drops().items())))
 
+    def problems(self, stream: str) -> str:
+        """Return the problem of the last unused message of a stream for each reason."""
+        return "; ".join(self._feeds[stream].details.values())
+
     @property
     def judged(self) -> Estimate:
         """The estimate whose verdict is that of the flight.

@@ -72,7 +72,8 @@ def _missing_actuators(run: OfflineRun) -> Iterator[str]:
     parts = time_bases(run.stretches())
     if not any(len(part.inputs.t_ns) for part in parts):
         topic = run.inputs.streams["actuators"]
-        yield f"{topic} has no messages that could be used: nothing is learned"
+        problem = run.problems("actuators") or "nothing is learned"
+        yield f"{topic} has no messages that could be used: {problem}"
         return
     first, last = parts[0], parts[-1]
     if len(first.inputs.t_ns):
