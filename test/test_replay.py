@@ -41,7 +41,7 @@ from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.run import run_over
-from uav_ident_ros.offline.tables import write_table
+from uav_ident_ros.offline.tables import duration_of, write_table
 from uav_ident_ros.offline.ticks import write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
@@ -333,22 +333,26 @@ def test_a_contradicting_frame_is_a_fault(frame_id: str, tmp_path: Path, capsys:
     assert len(lines) == 2
 
 
-def test_no_window_spans_a_jump_of_the_time_base(tmp_path: Path) -> None:
-    half_ns = START_NS + 14 * SECOND_NS
+@pytest.mark.parametrize("jump", [500, -500])
+def test_no_window_spans_a_jump_of_the_time_base(jump: int, tmp_path: Path) -> None:
+    half_ns = START_NS + 18 * SECOND_NS
 
     def jumping(topic: str, log_ns: int, message: Any) -> list[Entry]:
         if log_ns > half_ns:
-            message.header.stamp.sec += 500
-            log_ns += 500 * SECOND_NS
+            message.header.stamp.sec += jump
+            log_ns += max(jump, 0) * SECOND_NS
         return [(topic, log_ns, message)]
 
     path = excerpt(tmp_path / "bag", 28.0, "multisine", jumping)
     run = run_over(path, parameters())
     assert run.era == 1
-    fit = run.score()["after_30_s"]
-    # all ticks after the jump count: 14 s less the last window
-    assert 12 * 20 <= fit.windows <= 13 * 20
+    # the last 40 % begin 1.2 s before the jump; each of both parts lacks its last second
+    fit = run.score()["last_40_percent"]
+    assert 9 * 20 <= fit.windows <= 9.3 * 20
     assert (fit.model > 80.0).all()
+    assert run.score()["after_30_s"].windows == 0
+    content = {"ticks": len(run.estimates), "settings": {"update_rate": 20.0}}
+    assert duration_of(content) == pytest.approx(28.0, abs=0.2)
 
 
 @pytest.mark.parametrize("name", ["c172p", "multisine"])

@@ -24,11 +24,10 @@ import uav_ident_ros
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import whole
 from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
 from uav_ident_ros.offline import USABLE
 from uav_ident_ros.offline.job import VERDICTS, Outcome, optional
-from uav_ident_ros.offline.tables import Number, Row, Table
+from uav_ident_ros.offline.tables import Number, Row, Table, duration_of
 
 CSV_FILE = "flights.csv"
 PARQUET_FILE = "flights.parquet"
@@ -91,7 +90,7 @@ def rows_of(outcome: Outcome) -> Iterator[FlightRow]:
         common |= {f"{name}_{axis}": value for axis, value in outcome.fit(kind).items()}
     common |= {
         "start_ns": summary["first_tick_ns"],
-        "duration": (summary["last_tick_ns"] - summary["first_tick_ns"]) * NS,
+        "duration": duration_of(summary),
         "structure": summary["structure"],
     }
     for name, entry in summary["coefficients"].items():

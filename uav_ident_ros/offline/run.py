@@ -245,13 +245,17 @@ class OfflineRun:
         return self.identifier.coefficient_set(self.estimates[-1].t_ns)
 
     def score(self) -> dict[str, PredictionFit]:
-        """Return the score of record of the estimates."""
+        """Return the score of record of the estimates; a new time base goes on from the last."""
         errors: list[WindowErrors] = []
-        ends: list[int] = []
+        shifts: dict[int, int] = {}
+        end_ns = 0
         for part in self.stretches():
-            ends += [int(part.t_ns[0]), int(part.t_ns[-1])]
-            errors += [window_errors(*piece) for piece in part.pieces(HORIZONS[-1])]
-        return score_windows(WindowErrors.join(errors), min(ends), max(ends))
+            shift_ns = shifts.setdefault(part.era, end_ns - int(part.t_ns[0]))
+            end_ns = int(part.t_ns[-1]) + shift_ns
+            for piece in part.pieces(HORIZONS[-1]):
+                found = window_errors(*piece)
+                errors.append(replace(found, t_ns=found.t_ns + shift_ns))
+        return score_windows(WindowErrors.join(errors), 0, end_ns)
 
     def eras(self) -> TimeArray:
         """Return the number of restarts of the time base before each estimate, shape (K,)."""

@@ -28,6 +28,7 @@ from uav_ident_ros.offline.tables import (
     Table,
     Words,
     coefficients_table,
+    duration_of,
     fit_tables,
     modes_table,
 )
@@ -216,7 +217,7 @@ def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
 def _facts(summary: Mapping[str, Any]) -> list[str]:
     first_ns, settings = summary["first_tick_ns"], summary["settings"]
     facts = [
-        f"{(summary['last_tick_ns'] - first_ns) * NS:.0f} s of flight",
+        f"{duration_of(summary):.0f} s of flight",
         f"{summary['ticks']} ticks",
         f"{settings['estimator']}, {settings['structure']}",
     ]
