@@ -156,6 +156,18 @@ def test_a_probe_measures_the_control_derivatives(flight: Recording, player: Pla
         assert (label, float(value)) == (coefficient, pytest.approx(true, rel=0.1))
 
 
+def test_a_run_is_aborted_between_a_restart_of_the_filters_and_the_next_sample(
+    flight: Recording, player: Player
+) -> None:
+    player.play_in_step(part(flight, 0.0, 2.0))
+    call(player, SetBool, "excite", data=False)
+    assert call(player, SetBool, "excite", data=True).success
+    change(player, {"filter.cutoff": 14.0})
+    answer = call(player, SetBool, "excite", data=False)
+    assert answer.success and answer.message == "excitation is zero"
+    assert entries(player)["internal errors"] == "0"
+
+
 def test_excitation_is_refused_without_ticks_and_at_too_low_an_update_rate(
     flight: Recording, fly: Fly
 ) -> None:

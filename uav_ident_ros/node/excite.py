@@ -89,8 +89,8 @@ class Excite:
         """Publish zero and end the run; without a run, do nothing."""
         if not self._run.active:
             return
-        t_ns = self._identifier.intake.newest_ns
-        assert t_ns is not None  # a run has begun at a tick
+        assert self._estimate is not None  # a run has begun at a tick
+        t_ns = self._identifier.intake.newest_ns or self._estimate.t_ns  # none after a restart
         self._publish(self._run.abort(t_ns, why))
         self._log_end()
 
