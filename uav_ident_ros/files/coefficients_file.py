@@ -93,6 +93,7 @@ def save_coefficients(
     target = Path(os.path.realpath(path))
     temporary = target.with_name(_temporary_name(target.name, os.getpid()))
     try:
+        _check_regular(target)
         text = "".join(f"{line}\n" for line in _lines(coefficients, notes or Notes()))
         try:
             with temporary.open("w", encoding="utf-8") as file:
@@ -208,10 +209,15 @@ def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[Coe
         raise CoefficientsFileError(f"coefficients file '{path}': {problem(error)}") from None
 
 
-def _text_of(path: Path) -> str:
-    """Read a regular file of plausible size; others are refused, as a pipe would block."""
+def _check_regular(path: Path) -> None:
+    """Raise an error for what neither can be read nor must be replaced, such as /dev/null."""
     if path.exists() and not path.is_file():
         raise EntryError("it is not a file but a folder, a pipe or the like")
+
+
+def _text_of(path: Path) -> str:
+    """Read a regular file of plausible size; others are refused, as a pipe would block."""
+    _check_regular(path)
     if (size := path.stat().st_size) > LARGEST_FILE:
         raise EntryError(f"it has {size} bytes, more than any such file")
     return path.read_text(encoding="utf-8")
