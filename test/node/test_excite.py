@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from estimates import estimate_of
 from programs import StartNode
 from recordings import (
     NODE,
@@ -29,10 +30,12 @@ from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.bags.writing import JOINT_STATE, jazzy_types, joint_state
 from uav_ident_ros.client import Excitation, subscribe_excitation
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.identification.excitation_run import Flying
+from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import header_ns
-from uav_ident_ros.node.excite import slowest_ticks
+from uav_ident_ros.node.excite import Excite, slowest_ticks
 from uav_ident_ros.player import Player
 from uav_ident_ros.ros import to_stamp
 
@@ -166,6 +169,31 @@ def test_a_run_is_aborted_between_a_restart_of_the_filters_and_the_next_sample(
     answer = call(player, SetBool, "excite", data=False)
     assert answer.success and answer.message == "excitation is zero"
     assert entries(player)["internal errors"] == "0"
+
+
+def test_the_own_signal_counts_only_while_nobody_else_publishes_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    identifier, taken = OnlineIdentifier(Settings()), list[int]()
+    monkeypatch.setattr(identifier, "flying", lambda: Flying(np.zeros(3)))
+    monkeypatch.setattr(identifier, "add_excitation", lambda t_ns, *_, **__: taken.append(t_ns))
+    guest = Guest("excite")
+    try:
+        excite = Excite(guest.node, identifier)
+
+        def tick(t_ns: int) -> None:
+            excite.tick(estimate_of(np.ones(identifier.structure.mask.shape), t_ns=t_ns))
+
+        tick(100 * MS)
+        assert excite.request(True)[0]
+        tick(150 * MS)
+        assert taken == [300 * MS]
+        other = guest.node.create_publisher(JointState, "excitation", 1)
+        assert guest.spin_for(START_UP, lambda: guest.node.count_publishers(other.topic_name) > 0)
+        tick(200 * MS)
+        assert taken == [300 * MS]
+    finally:
+        guest.close()
 
 
 def test_excitation_is_refused_without_ticks_and_at_too_low_an_update_rate(

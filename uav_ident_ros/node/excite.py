@@ -43,8 +43,6 @@ class Excite:
         self._clock = node.get_clock()
         self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
         self._run = ExcitationRun(identifier.structure)
-        # Whether the identifier gets the signal from here: no other node publishes the injected one
-        self._own = True
         self._ticked = (0, 0.0)  # time of the last tick by the node's clock, ns, and the steady, s
         self._estimate: Estimate | None = None
 
@@ -67,7 +65,6 @@ class Excite:
                 f"'update_rate' is {rate:g} Hz: signals up to {settings.band[1]:g} Hz "
                 f"('excitation.band') need {needed:g} Hz"
             )
-        self._own = not self._node.count_publishers(self._node.resolve_topic_name(EXCITATION))
         return self._run.start(settings, self._identifier.flying(), estimate)
 
     def tick(self, estimate: Estimate) -> None:
@@ -122,7 +119,8 @@ class Excite:
 
     def _publish(self, injection: Injection) -> None:
         values = injection.values.tolist()
-        if self._own:
+        # with a publisher of the injected signal the identifier hears of it from there
+        if not self._node.count_publishers(self._node.resolve_topic_name(EXCITATION)):
             self._identifier.add_excitation(injection.t_ns, values, own=True)
         header = Header(stamp=to_stamp(injection.t_ns))
         self._publisher.publish(JointState(header=header, name=list(INPUTS), position=values))
