@@ -16,6 +16,7 @@ from sensor_msgs.msg import Imu, JointState, MagneticField
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.process import NodeProcess
 
 PERIOD = 0.01
@@ -48,6 +49,7 @@ RIGHT: dict[str, Topic] = {
     "actuators": ("/actuators", JointState, True),
     "airspeed": ("/airspeed", Float64, False),
     "armed": ("/armed", Bool, True),
+    "excitation": ("/excitation", JointState, True),
 }
 
 Change = Topic | str | Callable[[Any], object] | None
@@ -204,7 +206,9 @@ class Source(Guest):
             if kind is Imu:
                 message.angular_velocity = Vector3(x=rate, y=rate, z=rate)
             elif kind is JointState:
-                message.name, message.position = ["e", "r", "a", "t"], [0.1, 0.0, 0.0, 0.5]
+                excites = stream == "excitation"
+                message.name = [*INPUTS] if excites else ["e", "r", "a", "t"]
+                message.position = [0.0] * 4 if excites else [0.1, 0.0, 0.0, 0.5]
             elif kind in (Float64, Bool):
                 message.data = kind is Bool or 20.0
             if hasattr(message, "header"):

@@ -18,6 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ARMED, Drop
 from uav_ident_ros.identification.speed import unmeasured
+from uav_ident_ros.messages.streams import EXCITATION_END
 from uav_ident_ros.node.inputs import Input
 
 OWN_OUTPUT = "coefficients_named"
@@ -76,13 +77,15 @@ def _alternative_topic(node: Node, wanted: Input) -> str:
 
 
 def _published(node: Node) -> dict[str, list[str]]:
-    """Return all published topics with their types, without those of identifiers."""
+    """Return all published topics with their types, without identifiers' and injected signals."""
     topics = dict(node.get_topic_names_and_types())
     own = {name.rpartition("/")[0] for name in topics if name.endswith(f"/{OWN_OUTPUT}")}
     return {
         name: types
         for name, types in topics.items()
-        if name.rpartition("/")[0] not in own and node.count_publishers(name)
+        if name.rpartition("/")[0] not in own
+        and not name.endswith(EXCITATION_END)
+        and node.count_publishers(name)
     }
 
 
