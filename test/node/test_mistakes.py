@@ -113,6 +113,8 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
         {"airspeed": ("/airspeed", TwistStamped, False)}),
     "two drivers": ("'/imu/data' has 2 publishers, whose messages mix: /source, /source; end one",
         {"imu": TWICE}),
+    "two sources of excitation": ("'/excitation' has 2 publishers, whose messages mix: /source,",
+        {"excitation": TWICE}),
     "two nodes of one name": ("2 nodes are called '/identifier': their outputs mix",
         {"node": TWICE}),
     "other names": (DROPPED.format("/actuators", "there is no channel 'e' among elevator, rudder"),

@@ -139,7 +139,8 @@ class Waiting:
 
     def __init__(self, node: Node, identifier: OnlineIdentifier, inputs: Iterable[Input]) -> None:
         self._node, self._identifier = node, identifier
-        self._inputs = [own for own in inputs if own.stream.setting]  # others are optional
+        self._all = list(inputs)
+        self._inputs = [own for own in self._all if own.stream.setting]  # others are optional
         self._looks: dict[str, deque[tuple[int, Counter[str]]]] = {
             own.topic: deque(maxlen=LOOKS) for own in self._inputs
         }
@@ -210,7 +211,7 @@ class Waiting:
                 f"{same} nodes are called '{node.get_fully_qualified_name()}': their outputs mix, "
                 "and they write the same state file; give each a namespace, -r __ns:=/drone1"
             )
-        for own in self._inputs:
+        for own in self._all:
             own.publishers = sorted(map(_owner, node.get_publishers_info_by_topic(own.topic)))
             if len(own.publishers) > 1:
                 lines.append(
