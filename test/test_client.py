@@ -24,7 +24,7 @@ from uav_ident_ros.client import (
 from uav_ident_ros.files.coefficients_file import save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowState
-from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
+from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, declarations
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, Structure
 
 AUGMENTED = STRUCTURES["augmented"]
@@ -362,6 +362,7 @@ def test_a_source_with_delay_returns_only_older_coefficients() -> None:
 
 MS = 1_000_000
 NAMES = list(INPUTS)
+LEAD_AND_RATE = ("update_rate", "excitation.lead")
 
 
 @pytest.fixture
@@ -380,6 +381,13 @@ def test_an_excitation_holds_from_its_stamp_until_the_next_or_timeout(
     last = 150 * MS + round(EXCITATION_TIMEOUT * 1e9)
     assert excitation.at(last).any()
     assert not excitation.at(last + 1).any()
+
+
+def test_the_longest_lead_at_the_highest_rate_is_kept(excitation: Excitation) -> None:
+    rate, lead = (setting.high for setting in declarations() if setting.name in LEAD_AND_RATE)
+    for k in range(1, round(rate * lead) + 2):
+        excitation.add(round(k * 1000 / rate) * MS, NAMES, [0.05] * 4)
+    assert excitation.at(round(1000 / rate) * MS).any()
 
 
 def test_an_abort_cancels_the_scheduled_excitation(excitation: Excitation) -> None:

@@ -13,8 +13,8 @@ from uav_ident_ros.client.model import AttitudeModel, Refusal
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 from uav_ident_ros.messages.types import NS_PER_S
 
-LENGTH = 128
-"""Values kept: six seconds of coefficients at 20 Hz, one second of a fast reference."""
+LENGTH = 256
+"""Values kept: 12 s of coefficients at 20 Hz, the longest `excitation.lead` at 200 Hz."""
 
 Value = TypeVar("Value")
 
