@@ -38,6 +38,7 @@ PAPER = DIFFERENCES | {"estimator": "gradient", "structure": "baseline"}
         ({"excitation.amplitude": (0.1, 0.1, 0.1)}, "excitation.amplitude"),
         ({"excitation.amplitude": (0.1, -0.1, 0.1, 0.0)}, "excitation.amplitude"),
         ({"excitation.band": (2.0, 0.2)}, "excitation.band"),
+        ({"excitation.lead": 0.4, "time_jump": 0.3}, r"'input_wait' allow 0\.35 s"),
         ({"excitation.form": "sweep"}, "excitation.form"),
         *(
             ({"supervision.expected_signs": (entry,)}, "write \\+ or -")

@@ -623,6 +623,13 @@ def _check_consistency(settings: Settings) -> None:
     low, high = settings.excitation.band
     if low >= high:
         _refuse("excitation.band", f"is [{low:g}, {high:g}]: write the lower frequency first")
+    lead, longest = settings.excitation.lead, settings.time_jump + settings.input_wait
+    if lead > longest:
+        _refuse(
+            "excitation.lead",
+            f"is {lead:g} s: stamps so far ahead of the Imu's are outliers; 'time_jump' and "
+            f"'input_wait' allow {longest:g} s",
+        )
     for entry in settings.supervision.expected_signs:
         if entry[:1] not in ("+", "-") or entry[1:] not in structure.names:
             _refuse(
