@@ -356,6 +356,7 @@ def test_a_source_with_delay_returns_only_older_coefficients() -> None:
         source.take(message(t_ns=START + k * SECOND // 20))
     assert source.model(START + 400_000_000).t_ns == START + 100_000_000
     assert source.refusal(START + 290_000_000) == "there are no coefficients yet"
+    assert "of a later time" in source.refusal(START - 1), "another clock than the Imu's"
 
 
 # --- excitation --------------------------------------------------------------------------------

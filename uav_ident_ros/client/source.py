@@ -29,6 +29,9 @@ class History(Generic[Value]):
         """Add a value: it hides earlier ones with a later stamp, as after a restart."""
         self._items.append((t_ns, value))
 
+    def __len__(self) -> int:
+        return len(self._items)
+
     def at(self, t_ns: int) -> Value | None:
         """Return the newest value stamped at or before `t_ns`; None if there is none."""
         for stamp, value in reversed(self._items):
@@ -133,6 +136,8 @@ class CoefficientSource:
         """
         newest = self.newest(now_ns)
         if newest is None:
+            if self._history and self._history.at(now_ns) is None:
+                return "the coefficients are of a later time: pass that of the newest Imu message"
             return "there are no coefficients yet"
         if newest.age(now_ns - self._delay_ns) > self._max_age:
             return f"the coefficients are more than {self._max_age:g} s old"
