@@ -2,6 +2,7 @@
 """The client for controllers: messages as a model, inversion, and refusals."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -317,6 +318,19 @@ def test_the_fallback_replaces_unusable_coefficients(
     assert da(source, START + 9 * SECOND) == kept
     with pytest.raises(ValueError, match="needs the nominal coefficients"):
         CoefficientSource(Fallback.NOMINAL)
+
+
+def test_the_fallback_has_the_newest_angles_and_the_airspeed_of_its_coefficients() -> None:
+    good = Coefficients.from_message(message(FLIGHT))
+    source = CoefficientSource(Fallback.LAST_GOOD, replace(good, flow=None))
+    turned = FLOW._replace(beta=-0.05, alpha=0.1, roll=-0.6, pitch=0.2, airspeed=25.0)
+    source.add(replace(good, usable=False, flow=turned))
+    assert source.model(START).flow == turned, "the file of a nominal set has none"
+    source.add(good)
+    assert source.model(START).flow == FLOW
+    source.add(replace(good, usable=False, flow=turned))
+    assert source.model(START).source == "last good"
+    assert source.model(START).flow == turned._replace(airspeed=FLOW.airspeed)
 
 
 def test_an_unknown_coefficient_is_zero_or_replaced_by_the_nominal() -> None:

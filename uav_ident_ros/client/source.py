@@ -156,9 +156,13 @@ class CoefficientSource:
         """
         newest, reason = self.newest(now_ns), self.refusal(now_ns)
         if newest is None or reason:
-            if self._spare is None:
+            spare = self._spare
+            if spare is None:
                 raise Refusal(reason)
-            return self._spare
+            if newest is None or newest.flow is None:
+                return spare
+            at = spare.flow or newest.flow  # where its coefficients hold
+            return replace(spare, flow=newest.flow._replace(airspeed=at.airspeed))
         if self._good is None or self._good[0] is not newest:
             self._good = newest, self._merged(newest)
             if self.fallback is Fallback.LAST_GOOD:
