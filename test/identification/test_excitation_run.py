@@ -275,3 +275,7 @@ def test_attitude_and_airspeed_for_the_limits_follow_from_the_messages() -> None
     assert (flying.roll, flying.pitch) == pytest.approx((0.5, 0.2), abs=0.02)
     assert flying.airspeed == 18.0
     assert flying.grounded == "no message says that it is armed"
+    identifier.add_armed(T0_NS + 6_000_000_000, True)
+    for seconds, problem in ((7, ""), (9, "no airspeed has arrived in the last 2 s")):
+        identifier.update(T0_NS + seconds * 1_000_000_000)
+        assert identifier.flying().grounded == problem

@@ -300,13 +300,14 @@ class OnlineIdentifier:
         """Return the flight state at the last tick."""
         flow = self._parallel.flow
         roll, pitch = (None, None) if flow is None else flow.attitude
-        newest = self._newest_rates
+        newest, speed = self._newest_rates, self._speed
         return Flying(
             None if newest is None else self._frame.to_body(newest),
             roll,
             pitch,
-            airspeed=self._speed.newest,
-            grounded=grounded(self.settings, self.supervisor.armed, self._speed.newest),
+            airspeed=speed.newest,
+            grounded=grounded(self.settings, self.supervisor.armed, speed.newest)
+            or speed.silence(self._looked_ns),
         )
 
     @property

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.samples import SampleBuffer
+from uav_ident_ros.identification.samples import NS, SampleBuffer
+from uav_ident_ros.identification.scales import RESPONSE_TIME
 from uav_ident_ros.identification.settings import AirspeedSettings, Settings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
@@ -75,3 +76,10 @@ class SpeedScaling:
             self.scale = ratio**self._power
             self.known = True
             self.airspeed.trim(t_ns)
+
+    def silence(self, t_ns: int) -> str:
+        """Return the problem if an airspeed was measured, but none before `t_ns`; else empty."""
+        stamps = self.airspeed.t
+        if self.newest is None or (len(stamps) and (t_ns - stamps[-1]) * NS <= RESPONSE_TIME):
+            return ""
+        return f"no airspeed has arrived in the last {RESPONSE_TIME:g} s"
