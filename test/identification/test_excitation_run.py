@@ -162,16 +162,19 @@ def test_a_run_sends_the_signal_then_zeros_then_no_messages() -> None:
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 10, 100, 396, 399])
-def test_an_abort_sends_zeros_at_once_in_every_phase(ticks: int) -> None:
+@pytest.mark.parametrize("back_ns", [0, 10**11])
+def test_an_abort_sends_zeros_at_once_in_every_phase(ticks: int, back_ns: int) -> None:
+    """The clock may go back, which ends a run as well."""
     run = started()
     flown(run, ticks)
     now_ns = T0_NS + ticks * TICK_NS + 7
     injection = run.abort(now_ns, "aborted: asked for")
     assert injection.t_ns == now_ns and not injection.values.any()
     assert run.phase is Phase.IDLE and run.why == "aborted: asked for"
-    after = [run.step(LEVEL, estimate(now_ns + k * TICK_NS)) for k in range(1, 30)]
+    begin_ns = now_ns - back_ns
+    after = [run.step(LEVEL, estimate(begin_ns + k * TICK_NS)) for k in range(1, 30)]
     assert not values(after).any()
-    assert after[-1] is None
+    assert after[0] is not None and after[-1] is None
 
 
 BEYOND = [

@@ -186,7 +186,8 @@ class ExcitationRun:
         self.why = ""  # Reason for the end of the last run; empty before and during one
         self.sufficiency: Sufficiency | None = None  # Of the present or last run
         self._input: ProgrammedInput | None = None
-        self._start_ns = self._now_ns = self._end_ns = self._zeros_until_ns = 0
+        self._start_ns = self._now_ns = self._end_ns = 0
+        self._zeros_until_ns: int | None = 0  # None from the end of a run to the next tick
 
     @property
     def active(self) -> bool:
@@ -231,16 +232,17 @@ class ExcitationRun:
         """End the run at once; return an injection of zero, which holds from `t_ns`."""
         if self.active:
             self.phase, self.why = Phase.IDLE, why
-        self._now_ns = t_ns
-        self._zeros_until_ns = t_ns + ZERO_TIME_NS
+        self._now_ns, self._zeros_until_ns = t_ns, None
         return Injection(t_ns, np.zeros(len(INPUTS)))
 
     def step(self, flying: Flying, estimate: Estimate) -> Injection | None:
         """Return the injection requested at a tick; None if nothing is to be sent."""
         t_ns = estimate.t_ns
         if not self.active:  # zero for a moment after a run, then nothing
-            if t_ns > self._zeros_until_ns:
-                self._zeros_until_ns = 0  # also for a clock that goes back
+            if self._zeros_until_ns is None:
+                self._zeros_until_ns = t_ns + ZERO_TIME_NS
+            if not 0 <= self._zeros_until_ns - t_ns <= ZERO_TIME_NS:  # over, or the clock went back
+                self._zeros_until_ns = 0
                 return None
             return Injection(t_ns, np.zeros(len(INPUTS)))
         assert self._input is not None and self.sufficiency is not None
