@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
+from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.structure import STRUCTURES
 
 
 @pytest.mark.parametrize(
@@ -23,6 +25,15 @@ def test_a_value_beyond_its_documented_limit_is_refused(
     assert Settings.from_values({name: allowed, "structure": "augmented"}).values()[name] == allowed
     with pytest.raises(SettingsError, match=name):
         Settings.from_values({name: refused, "structure": "augmented"})
+
+
+def test_the_initial_coefficients_of_flight_dynamics_are_three_rows_or_five() -> None:
+    for rows in (3, 5):
+        settings = Settings.from_values({"initial_coefficients": (2.0,) * 15 * rows})
+        values = OnlineIdentifier(settings).coefficient_set().values
+        assert values[STRUCTURES["flight_dynamics"].index("pdot/da")] == 2.0
+    with pytest.raises(SettingsError, match="60 values: 45 or 75 are needed"):
+        Settings.from_values({"initial_coefficients": (2.0,) * 60})
 
 
 DIFFERENCES = {"filter.method": "backward_difference"}

@@ -18,7 +18,7 @@ from operator import attrgetter
 from typing import Any
 
 from uav_ident_ros.identification.scales import IN_A_ROW
-from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
+from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[int, ...] | tuple[str, ...]
 
@@ -480,8 +480,8 @@ class Settings:
         "compare methods.")
     initial_coefficients: tuple[float, ...] = _setting(
         (), "", (-LARGEST_NUMBER, LARGEST_NUMBER), text=
-        "Initial coefficients A_m: 3n values, row-major, SI. Empty: zeros. Set them if an "
-        "aircraft model is at hand.")
+        "Initial coefficients A_m: 3n values, row-major, SI; for 'flight_dynamics' 3n, or 5n with "
+        "ay and az. Empty: zeros. Set them if an aircraft model is at hand.")
     initial_coefficients_file: str = _setting("", text=
         "File of initial coefficients, as replay writes it; it takes precedence over the values. "
         "Set it to start the next flight from a replayed one.")
@@ -590,7 +590,7 @@ def _check_lengths(settings: Settings) -> None:
     one_each = ("scale", "trim", "thrust_curve", "lower_limit", "upper_limit")
     lengths: dict[str, tuple[int, ...]] = {
         "gradient.gains": (0, n, n * n),
-        "initial_coefficients": (0, len(structure.dense_rows) * n),
+        "initial_coefficients": tuple(sorted({0, len(ROWS) * n, len(structure.dense_rows) * n})),
         **{f"actuators.{name}": (0, channels) for name in one_each},
         **{f"actuators.mixing.{name}": (channels,) for name in INPUTS},
         "imu.rpy": (3,),
