@@ -162,6 +162,7 @@ def test_absent_channels_are_named_in_the_error() -> None:
     for read, message, words in (
         (by_name("elevater"), one, "'elevater' among elevator; did you mean"),
         (by_name("elevator"), many, "servo29 and 4970 more"),
+        (types.read_excitation, many, "servo29 and 4970 more"),
         (reader(channels=[0, 4]), four, "'data' has 4 values, too few for channels 0, 4"),
         (by_name("b"), joints(["a", "b"], [1.0]), "'position' has 1 values"),
     ):

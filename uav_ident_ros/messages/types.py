@@ -203,8 +203,8 @@ def read_excitation(message: Any) -> tuple[int, tuple[float, ...]]:
     unknown = [name for name in names if name not in INPUTS]
     if unknown or len(names) != len(positions) or not names:
         raise ChannelError(
-            f"names {names} with {len(positions)} positions: some of {', '.join(INPUTS)} are "
-            "wanted, each with a position"
+            f"names {listed(names)} with {len(positions)} positions: some of "
+            f"{', '.join(INPUTS)} are wanted, each with a position"
         )
     by_name = dict(zip(names, positions, strict=True))
     return header_ns(message), tuple(float(by_name.get(name, 0.0)) for name in INPUTS)
