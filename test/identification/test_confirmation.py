@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.residuals import Confirmation, NoiseModel
+from uav_ident_ros.identification.residuals import Autoregression, Confirmation
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, STRUCTURES
 
 LAYOUT = layout(STRUCTURES["augmented"])
@@ -24,8 +24,9 @@ class Flight:
 
     def __init__(self, seed: int = 1) -> None:
         self.confirmed = Confirmation()
-        self._noise = NoiseModel(3)
+        self._noise = Autoregression(3)
         self.max_age = MAX_AGE
+        self.answers = np.zeros(4)
         self._rng = np.random.default_rng(seed)
         self._gust = np.zeros(3)
         self._u = np.zeros(4)
@@ -54,9 +55,12 @@ class Flight:
         samples = Regression.of(measured[None], f, f, DT)
         sample = RowSamples.of(samples, (measured - estimated)[None], LAYOUT)
         white = self._noise.whiten(sample, restarted=self.restarted)
-        self.restarted = False
         effect = LAYOUT.main_effect(ESTIMATED, white)
-        self.confirmed.add(white, effect, self._noise.variance, self.max_age)
+        variance = self._noise.variance
+        self.confirmed.add(
+            white, effect, variance, self.max_age, self.answers, restarted=self.restarted
+        )
+        self.restarted = False
 
     def doubts(self) -> list[str]:
         return [self.confirmed.doubt(row) for row in range(3)]
@@ -180,6 +184,25 @@ def test_a_disturbance_that_no_surface_explains_contradicts_none(seed: int) -> N
     for _ in range(20):
         flight.fly(0.5, moved=0.5, gust=15.0)
         assert not any("contradicted" in doubt for doubt in flight.doubts())
+
+
+def test_answers_to_gusts_within_a_sample_contradict_no_healthy_surface() -> None:
+    """As of a rate loop much faster than the samples: half of each gust is answered at once."""
+    rng, flight = np.random.default_rng(1), Flight()
+    flight.answers = np.full(4, 0.1)
+    main = np.array([0, 1, 2]), np.array([INPUTS.index(name) for name in ("da", "de", "dr")])
+    gust, command, moved = np.zeros(3), np.zeros(3), np.zeros(3)
+    for k in range(round(60.0 / DT)):
+        new = 0.5 * rng.normal(size=3)
+        gust = 0.9 * gust + new
+        command = 0.8 * command + 0.3 * rng.normal(size=3)
+        moved = 0.8 * moved + command
+        u = np.zeros(4)
+        u[main[1]] = (moved - 0.5 * new) / ESTIMATED[main]
+        flight.add(u, ESTIMATED @ u + gust, ESTIMATED @ u)
+        learned = k * DT > 10.0  # both models of the past
+        assert not (learned and any("contradicted" in doubt for doubt in flight.doubts()))
+    assert flight.doubts() == ["", "", ""]
 
 
 TURN, REST = 3.0, 15.0

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.regression import RowSamples
-from uav_ident_ros.identification.residuals import ORDER, NoiseModel
+from uav_ident_ros.identification.residuals import ORDER, Autoregression
 from uav_ident_ros.identification.scales import MEMORY
 
 DT = 0.05
@@ -24,7 +24,7 @@ def residuals(ticks: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     return out[ORDER:], white
 
 
-def whiten(model: NoiseModel, residual: np.ndarray, restarted: bool = False) -> RowSamples:
+def whiten(model: Autoregression, residual: np.ndarray, restarted: bool = False) -> RowSamples:
     """Whiten residuals (m, rows), with regressors that are their multiples."""
     f = residual[:, :1] * [1.0, -3.0]
     rows = [np.column_stack((e, 2.0 * e, f, f)) for e in residual.T]
@@ -33,7 +33,7 @@ def whiten(model: NoiseModel, residual: np.ndarray, restarted: bool = False) -> 
 
 def test_the_autoregression_of_each_row_is_estimated() -> None:
     """Averaged over several memories: each estimate uses one."""
-    model, found = NoiseModel(3), []
+    model, found = Autoregression(3), []
     for part in np.split(residuals(12_000)[0], 12_000 * DT / MEMORY):
         for pair in np.split(part, len(part) // 2):
             whiten(model, pair)
@@ -44,7 +44,7 @@ def test_the_autoregression_of_each_row_is_estimated() -> None:
 
 
 def test_a_new_stretch_is_whitened_without_the_old_one() -> None:
-    model = NoiseModel(3)
+    model = Autoregression(3)
     whiten(model, residuals(100)[0])
     weights = model.weights.copy()
     assert not whiten(model, np.ones((2, 3)), restarted=True).signals.any()
@@ -55,7 +55,7 @@ def test_a_new_stretch_is_whitened_without_the_old_one() -> None:
 
 
 def test_the_noise_model_is_fitted_every_0_3_s() -> None:
-    model, residual = NoiseModel(3), residuals(400)[0]
+    model, residual = Autoregression(3), residuals(400)[0]
     fits = 0
     for part in np.split(residual, 200):
         before = model.weights
@@ -69,7 +69,7 @@ def test_the_noise_model_is_fitted_every_0_3_s() -> None:
 def test_the_innovation_of_a_predictable_signal_is_a_hundredth_of_it() -> None:
     """The past predicts a slow sine fully."""
     sine = np.sin(0.5 * DT * np.arange(2000))[:, None] * SPREAD
-    model = NoiseModel(3)
+    model = Autoregression(3)
     for part in np.split(sine, 1000):
         whiten(model, part)
     np.testing.assert_allclose(model.variance, 0.01 * np.mean(sine**2, axis=0), rtol=0.1)

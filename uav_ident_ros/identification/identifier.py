@@ -35,7 +35,7 @@ from uav_ident_ros.identification.regression import (
     StateVariableFilter,
     layout,
 )
-from uav_ident_ros.identification.residuals import NoiseModel
+from uav_ident_ros.identification.residuals import Autoregression
 from uav_ident_ros.identification.samples import (
     ACTUATORS,
     AIRSPEED,
@@ -222,7 +222,7 @@ class OnlineIdentifier:
             }
         )
         self.intake.fault = ""
-        self._noise = NoiseModel(self._layout.rows)
+        self._noise = Autoregression(self._layout.rows)
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = self.idle = 0.0
         self.restart()
@@ -497,7 +497,10 @@ class OnlineIdentifier:
         weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
         effect = self._layout.main_effect(estimator.inputs, white)
         max_age = self.settings.supervision.max_age
-        supervisor.confirmed.add(white, effect, self._noise.variance, max_age)
+        variance, answers = self._noise.variance, estimator.answers
+        supervisor.confirmed.add(
+            white, effect, variance, max_age, answers, restarted=samples.restarted
+        )
         estimator.update(samples, rows, white, weight)
         supervisor.follow(t_ns * NS, estimator, ticks)
         self._try_fresh_start(samples)

@@ -45,13 +45,13 @@ LOADING = 0.01
 a slow input above the errors of rounding and sampling."""
 
 
-class NoiseModel:
-    """Autoregressive models of the residuals of several rows."""
+class Autoregression:
+    """Autoregressive models of signals of several rows: of the residuals, or of inputs."""
 
     def __init__(self, rows: int) -> None:
         # Weights of the past residuals in the prediction, the newest first
         self.weights: FloatArray = np.zeros((rows, ORDER))
-        self.variance: FloatArray = np.zeros(rows)  # Of the innovation
+        self.variance: FloatArray = np.zeros(rows)  # Of the innovations
         self._covariances: FloatArray = np.zeros((rows, ORDER + 1))
         self._time = self._since_fit = 0.0
         self._lags = np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))
@@ -61,18 +61,25 @@ class NoiseModel:
         self._known = 0
 
     def whiten(self, samples: RowSamples, *, restarted: bool) -> RowSamples:
-        """Update the noise model with samples, and return them whitened.
+        """Update the model of the residuals with samples, and return them whitened.
 
-        Their residuals are then innovations. After a restart, where the first sample does not
-        continue the last, zeros take the place of the first `ORDER`.
+        Their residuals are then innovations.
         """
-        new = samples.signals
+        white = self.innovations(samples.signals, samples.dt, restarted=restarted)
+        return RowSamples(white, samples.dt)
+
+    def innovations(self, new: FloatArray, dt: float, *, restarted: bool) -> FloatArray:
+        """Update the model with signals (rows, m, k), and return what their past does not predict.
+
+        The first of the k is the one that the model is of. After a restart, where the first sample
+        does not continue the last, zeros take the place of the first `ORDER`.
+        """
         if restarted or self._past is None:
             self._past, self._known = np.zeros((len(new), ORDER, new.shape[2])), 0
         signals = np.concatenate((self._past, new), axis=1)
         self._past = signals[:, -ORDER:]
         m = new.shape[1]
-        self._learn(signals[:, :, 0], samples.dt)
+        self._learn(signals[:, :, 0], dt)
         if m not in self._matrices:
             matrix = self._matrices[m] = np.zeros((len(self.weights), m, ORDER + m))
             for k in range(m):
@@ -82,15 +89,15 @@ class NoiseModel:
         if self._known < ORDER:
             white[:, : ORDER - self._known] = 0.0
             self._known += m
-        return RowSamples(white, samples.dt)
+        return np.asarray(white)
 
-    def _learn(self, residual: FloatArray, dt: float) -> None:
-        """Update the autocovariances by residuals (rows, ORDER + m), the first `ORDER` known."""
-        new = residual[:, ORDER:]
+    def _learn(self, signals: FloatArray, dt: float) -> None:
+        """Update the autocovariances by signals (rows, ORDER + m), the first `ORDER` known."""
+        new = signals[:, ORDER:]
         m = new.shape[1]
         self._time += m * dt
         share = min(m * dt / min(self._time, MEMORY), 1.0)
-        lagged = residual[:, _lags(m)]
+        lagged = signals[:, _lags(m)]
         products = (lagged @ new[:, :, None])[:, :, 0]
         self._covariances += share * (products / m - self._covariances)
         self._since_fit += m * dt
@@ -309,10 +316,15 @@ class Confirmation:
     surface turns the odds as soon as it moves. A surface that does not move gives no evidence, and
     its confirmation fades. Where surfaces are excited in turns, as by doublets one after the other,
     it fades no sooner than the next turn is due.
+
+    Where an input answers gusts, its effect is predicted from its own past: a loop that is faster
+    than the samples answers a gust within one, and this answer would count against a healthy
+    surface.
     """
 
     def __init__(self) -> None:
         self._odds: FloatArray = np.zeros((len(OTHER_EFFECTS), len(ROWS)))
+        self._effects = Autoregression(len(ROWS))
         self._now = 0.0  # Time since the start, s
         # Evidence of the last `INDEPENDENT_TIME` that the surface has an effect at all
         self._recent: FloatArray = np.zeros(len(ROWS))
@@ -343,8 +355,13 @@ class Confirmation:
         effect: FloatArray,  # (3, m) Estimated effects of the main inputs in the samples
         variance: FloatArray,  # (rows,) Of the innovations
         max_age: float,  # Time in which a confirmation fades at rest, s; 0: never
+        answers: FloatArray,  # (4,) Share of each input that is feedback, 0 ... 1
+        *,
+        restarted: bool,  # Whether the first sample does not continue the last
     ) -> None:
         """Add whitened samples to the evidence."""
+        new = self._effects.innovations(effect[..., None], white.dt, restarted=restarted)
+        effect = effect - new[..., 0] * (answers[_MAIN_PLACES] > 0.0)[:, None]
         estimated = white.residual[: len(ROWS)]
         explained = white.y[: len(ROWS)] - estimated  # by the whole row
         residual = estimated + _LEFT[:, 0] * effect + _LEFT[:, 1] * explained

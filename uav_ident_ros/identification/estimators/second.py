@@ -17,7 +17,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.model_error import known_without_error
 from uav_ident_ros.identification.regression import Layout, Regression, RowSamples
-from uav_ident_ros.identification.residuals import NoiseModel
+from uav_ident_ros.identification.residuals import Autoregression
 from uav_ident_ros.identification.scales import INDEPENDENT_TIME, SURE
 from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, BoolArray, FloatArray
 
@@ -41,7 +41,7 @@ class SecondEstimator(Generic[E]):
 
     Attributes
     ----------
-    noise : NoiseModel
+    noise : Autoregression
         Noise model of the samples.
     time : float
         Time of learning, s.
@@ -49,7 +49,7 @@ class SecondEstimator(Generic[E]):
 
     def __init__(self, estimator: E, layout: Layout) -> None:
         self._layout = layout
-        self.estimator, self.noise, self.time = estimator, NoiseModel(layout.rows), 0.0
+        self.estimator, self.noise, self.time = estimator, Autoregression(layout.rows), 0.0
         self._gathered: list[tuple[Regression, FloatArray]] = []
 
     def add(self, samples: Regression, weight: FloatArray) -> bool:
