@@ -28,9 +28,6 @@ from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
 from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME, ROUNDING, SURE
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
 
-CLEARED = 0.5 * DOUBTLESS
-"""Value over sigma below which a detected error ends; up to `DOUBTLESS` the result stays."""
-
 LOADING = 1e-4
 """Added to the information, relative to its diagonal: the input and its square are collinear. A
 factor of two hardly matters: of 30 flights with inputs 80 or 120 ms later than configured, the same
@@ -70,10 +67,6 @@ class ModelError:
         self._zy, self._squares = np.zeros((rows, BLOCKS, width)), np.zeros((rows, BLOCKS))
         self._blocks = 0  # Closed so far
         self._settled = 0  # Of these, the newest, with instruments of a known model
-        # Flags of the errors detected and not ended: of all blocks saturation and lateness, and
-        # attenuation and lateness; of the newest saturation and lateness
-        self._sure: BoolArray = np.zeros((rows, 2, 2), dtype=bool)
-        self._sure_early: BoolArray = np.zeros((rows, 1, 2), dtype=bool)
         # Largest loss by saturation, lateness or attenuation, relative to the input's effect, rms,
         # at most 1; 0 where not significant
         self.share: FloatArray = np.zeros(len(ROWS))
@@ -98,7 +91,6 @@ class ModelError:
         self._gathered.clear()
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
-        self._sure[row] = self._sure_early[row] = False
         self.share[row] = self._early[row] = self._late[row] = 0.0
 
     def add(
@@ -163,9 +155,7 @@ class ModelError:
         count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
         if count <= k:
             return  # too few blocks for a scatter
-        found, size, late, informative = self._found(
-            slice(count), _BESIDE_LATENESS, self._sure, ratio, effect
-        )
+        found, size, late, informative = self._found(slice(count), _BESIDE_LATENESS, ratio, effect)
         moments = informative[: len(ROWS)]
         self._late = np.where(moments, np.clip(late[: len(ROWS)], 0.0, 1.0), self._late)
         if informative[len(ROWS) :].all():
@@ -175,9 +165,7 @@ class ModelError:
         self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
-            found, _, _, informative = self._found(
-                newest, (_SATURATION,), self._sure_early, ratio, effect
-            )
+            found, _, _, informative = self._found(newest, (_SATURATION,), ratio, effect)
             moments = informative[: len(ROWS)]
         early = np.clip(-found[: len(ROWS), 0, 1], 0.0, 1.0)
         self._early = np.where(moments, early, self._early)
@@ -186,18 +174,16 @@ class ModelError:
         self,
         blocks: NDArray[np.intp] | slice,
         others: Sequence[int],
-        sure: BoolArray,
         ratio: FloatArray,
         effect: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
         """Return losses by the additional regressors, their coefficients, and determined rows.
 
         The first two are (rows, others, 2), of one of `others` and of lateness, 0 where not
-        significant. They are solved in units of rms and tested by their sigma; `sure` (rows,
-        others, 2) is updated. The third is the loss by lateness, (rows,), significant or not, less
-        the most that feedback may cause, by the solution of `others` that determines it best. A row
-        is determined if its input moved in more blocks than it makes regressors: fewer leave no
-        scatter.
+        significant. They are solved in units of rms and tested by their sigma. The third is the
+        loss by lateness, (rows,), significant or not, less the most that feedback may cause, by the
+        solution of `others` that determines it best. A row is determined if its input moved in more
+        blocks than it makes regressors: fewer leave no scatter.
         """
         zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
         count, width = zy.shape[1:]
@@ -232,8 +218,7 @@ class ModelError:
         main = scale[range(len(ROWS)), :, self._entries[: len(ROWS)]]
         whole[: len(ROWS), :, 0] = effect[:, None] / main
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
-        least = np.where(sure, CLEARED, DOUBTLESS)
-        sure[informative] = (extra**2 > least**2 * variance)[informative]
+        sure = extra**2 > DOUBTLESS**2 * variance
         found, size = np.where(sure, away, 0.0), np.where(sure, extra * scale[..., -2:], 0.0)
         # Saturation and attenuation leave different noise in the lateness beside them.
         main_effect = np.maximum(np.abs(whole[..., 0]), POWERLESS)
