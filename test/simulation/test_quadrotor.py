@@ -78,20 +78,25 @@ class Level:
         return np.array([-roll, -pitch, 0.0])
 
 
-def flown(seconds: float, *faults: str, identifier: OnlineIdentifier | None = None) -> FloatArray:
+def flown(
+    seconds: float,
+    *faults: str,
+    identifier: OnlineIdentifier | None = None,
+    adaptive: bool = False,
+) -> FloatArray:
     """Return rates minus reference over time, rad/s, with the coefficients of the files.
 
-    The flight is level, or has the manoeuvres of the loop, with identification.
+    The flight is level, or has the manoeuvres of the loop, with identification or adaptation.
     """
     known = Coefficients.from_file(FILES / "quadrotor_coefficients.yaml")
     controller = load_parameters(FILES / "quadrotor.yaml", "controller")
     limits = np.array([controller["least"], controller["largest"]]) - controller["trim"]
     source = CoefficientSource(Fallback.NOMINAL, known)
     chosen = LAWS[controller.get("law", "incremental")]
-    law = RateController(source, known, limits, controller["delay"], chosen, adaptive=False)
+    law = RateController(source, known, limits, controller["delay"], chosen, adaptive)
     craft = LiveQuadrotor(SENSORS, 0.01, [parse_fault(text) for text in faults])
     guide = Manoeuvres(bank=0.2, pitch=0.2, hold=(2.0, 4.0), airspeed=1000.0, seed=0)
-    loop = Loop(craft, craft.trim, guide if identifier else Level(), law, identifier)
+    loop = Loop(craft, craft.trim, guide if identifier or adaptive else Level(), law, identifier)
     errors = []
     while craft.time < seconds:
         sample, reference = loop.answer()
@@ -106,6 +111,15 @@ def test_rate_errors_return_to_small_values_after_a_weak_motor() -> None:
     before, after = errors[100:300].max(axis=0), errors[700:].max(axis=0)
     assert before.max() < 0.05 and after.max() < 0.05
     assert errors[300:400].max() > 0.2  # the fault has an effect
+
+
+@pytest.mark.parametrize("fault", ["9: motor_rear_right", "11.25: motor_front_left"])
+def test_the_jerk_of_a_weak_motor_is_no_reversed_input(fault: str) -> None:
+    """In these phases of the manoeuvres the controller answers against the jerk at once."""
+    assert (
+        np.abs(flown(float(fault.split(":")[0]) + 2.0, f"{fault} effect 0.7", adaptive=True)).max()
+        < 1.0
+    )
 
 
 def test_a_weak_motor_is_a_change_of_the_constant_moments_and_is_relearned() -> None:

@@ -193,12 +193,12 @@ class Effectiveness:
         self._noise = self._noise + min(1.0, dt / NOISE_MEMORY) * (rest - self._noise)
         if self._age < LEAST_TIME:
             return
-        # a jerk beyond all hypotheses, as of a breaking surface, is no evidence for any
-        clipped = np.clip(answered, -2.0 * np.abs(made), 2.0 * np.abs(made))
-        plain = (clipped - believed * made) ** 2
+        plain = (answered - believed * made) ** 2
         if rival is not None:  # another delay may explain the residual instead of a fault
             plain = np.minimum(plain, (rival[0] - rival[1]) ** 2)
-        ratio = plain - (clipped - instead * made) ** 2
+        # a jerk beyond all hypotheses, as of a breaking surface or a failing motor, is no evidence
+        within = np.abs(answered) <= 2.0 * np.abs(made)
+        ratio = within * (plain - (answered - instead * made) ** 2)
         step = BANDWIDTH / 2.0 * ratio / (2.0 * np.maximum(self._noise, 1e-12))
         most = SURE / LEAST_DETECTION_TIME
         self._log_ratio = np.clip(self._log_ratio + dt * np.clip(step, -most, most), 0.0, SURE)
