@@ -26,7 +26,7 @@ class Flight:
         self.confirmed = Confirmation()
         self._noise = Autoregression(3)
         self.max_age = MAX_AGE
-        self.answers = np.zeros(4)
+        self.answers = np.zeros(3, dtype=bool)
         self._rng = np.random.default_rng(seed)
         self._gust = np.zeros(3)
         self._u = np.zeros(4)
@@ -189,7 +189,7 @@ def test_a_disturbance_that_no_surface_explains_contradicts_none(seed: int) -> N
 def test_answers_to_gusts_within_a_sample_contradict_no_healthy_surface() -> None:
     """As of a rate loop much faster than the samples: half of each gust is answered at once."""
     rng, flight = np.random.default_rng(1), Flight()
-    flight.answers = np.full(4, 0.1)
+    flight.answers[:] = True
     main = np.array([0, 1, 2]), np.array([INPUTS.index(name) for name in ("da", "de", "dr")])
     gust, command, moved = np.zeros(3), np.zeros(3), np.zeros(3)
     for k in range(round(60.0 / DT)):

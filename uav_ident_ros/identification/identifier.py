@@ -496,10 +496,13 @@ class OnlineIdentifier:
         white = self._noise.whiten(rows, restarted=samples.restarted)
         weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
         effect = self._layout.main_effect(estimator.inputs, white)
-        max_age = self.settings.supervision.max_age
-        variance, answers = self._noise.variance, estimator.answers
         supervisor.confirmed.add(
-            white, effect, variance, max_age, answers, restarted=samples.restarted
+            white,
+            effect,
+            self._noise.variance,
+            self.settings.supervision.max_age,
+            estimator.may_answer,
+            restarted=samples.restarted,
         )
         estimator.update(samples, rows, white, weight)
         supervisor.follow(t_ns * NS, estimator, ticks)

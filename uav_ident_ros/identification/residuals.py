@@ -317,8 +317,8 @@ class Confirmation:
     its confirmation fades. Where surfaces are excited in turns, as by doublets one after the other,
     it fades no sooner than the next turn is due.
 
-    Where an input answers gusts, its effect is predicted from its own past: a loop that is faster
-    than the samples answers a gust within one, and this answer would count against a healthy
+    Where an input may answer gusts, its effect is predicted from its own past: a loop that is
+    faster than the samples answers a gust within one, and this answer would count against a healthy
     surface.
     """
 
@@ -355,13 +355,13 @@ class Confirmation:
         effect: FloatArray,  # (3, m) Estimated effects of the main inputs in the samples
         variance: FloatArray,  # (rows,) Of the innovations
         max_age: float,  # Time in which a confirmation fades at rest, s; 0: never
-        answers: FloatArray,  # (4,) Share of each input that is feedback, 0 ... 1
+        answers: BoolArray,  # (3,) Whether the main input may be feedback
         *,
         restarted: bool,  # Whether the first sample does not continue the last
     ) -> None:
         """Add whitened samples to the evidence."""
         new = self._effects.innovations(effect[..., None], white.dt, restarted=restarted)
-        effect = effect - new[..., 0] * (answers[_MAIN_PLACES] > 0.0)[:, None]
+        effect = effect - new[..., 0] * answers[:, None]
         estimated = white.residual[: len(ROWS)]
         explained = white.y[: len(ROWS)] - estimated  # by the whole row
         residual = estimated + _LEFT[:, 0] * effect + _LEFT[:, 1] * explained

@@ -63,6 +63,10 @@ class Estimator(Protocol):
         """Share of each input that is feedback from disturbances, shape (4,), 0 ... 1."""
 
     @property
+    def may_answer(self) -> BoolArray:
+        """Flags of the rows whose main input may be feedback, perhaps by chance, shape (3,)."""
+
+    @property
     def inputs(self) -> FloatArray:
         """Control derivatives at fixed measured forces, as in the residuals, shape (3, 4)."""
 

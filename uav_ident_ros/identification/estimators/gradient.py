@@ -99,6 +99,7 @@ class GradientEstimator:
         self.model_error: FloatArray = np.zeros(3)
         self.height = 0.0
         self.answers: FloatArray = np.zeros(len(INPUTS))
+        self.may_answer: BoolArray = np.zeros(3, dtype=bool)
         self.clear: BoolArray = np.ones(3, dtype=bool)
         self.changes: list[tuple[int, int]] = []
         self.rejected: list[tuple[int, int]] = []

@@ -103,6 +103,7 @@ class RecursiveRegression:
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
         self.clear = self._gate.clear
         self.answers = self._feedback.share
+        self.may_answer: BoolArray = np.zeros(len(ROWS), dtype=bool)
         self.model_error, self.height = self._error.share, self._error.height
         self._begin_changes()
         self._solve()
@@ -161,6 +162,7 @@ class RecursiveRegression:
             # Residuals of a wrong model follow the inputs: its reference knows the feedback better.
             reference = self._reference.estimator if self._reference else self
             answering = reference._feedback.answering
+        self.may_answer = answers > 0.0
         # An input that answers gusts looks late. Without knowledge a priori either denies the row.
         ratio, rolls = answers * self._known_a_priori, float(answers[0])
         effect = self._linear[MAIN_DERIVATIVES]
