@@ -17,6 +17,10 @@ from uav_ident_ros.identification.structure import STRUCTURES
         ("actuators.delay", 0.5, 0.51),
         ("actuators.longest_delay", 0.5, 0.51),
         ("initial_coefficients", (0.0,) * 44 + (-1e6,), (0.0,) * 44 + (-1.1e6,)),
+        *(
+            (f"actuators.{name}", (0.0, 1e6, 0.0, -1e6), (0.0, 0.0, 0.0, 1e300))
+            for name in ("trim", "scale", "mixing.de", "mixing.dr", "mixing.da", "mixing.dth")
+        ),
     ],
 )
 def test_a_value_beyond_its_documented_limit_is_refused(
