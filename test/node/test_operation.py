@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 import recordings
 from geometry_msgs.msg import TwistStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -17,6 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.files.coefficients_file import load_coefficients
+from uav_ident_ros.node.identifier_node import MOST_WAITING, IdentifierNode
 from uav_ident_ros.player import Player
 from uav_ident_ros.ros import to_stamp
 
@@ -174,3 +176,19 @@ def test_node_learns_with_an_airspeed_and_only_while_armed(
     assert int(values["airspeed: dropped: not finite"]) == dropped
     assert int(values["airspeed: messages"]) == count
     assert "'/armed': message dropped" not in node.log
+
+
+@pytest.mark.parametrize("jump_ns", [0, 60_000_000_000])
+def test_nothing_piles_up_while_the_clock_stands_still(jump_ns: int) -> None:
+    """Ticks are due and wait; after a jump of the stamps the messages are held back for them."""
+    rclpy.init(args=["--ros-args", "-p", "use_sim_time:=true", "-p", "state_file:=none"])
+    node = IdentifierNode()
+    intake = node.identifier.intake
+    for k in range(MOST_WAITING + 20):
+        t_ns = 10**18 + 50_000_000 * k + (jump_ns if k > 9 else 0)
+        intake.add_rates(t_ns, (0.1, 0.0, 0.0), (0.0, 0.0, -9.8))
+    assert intake.waiting > MOST_WAITING
+    node._on_diagnostics()
+    assert intake.waiting == 0
+    node.destroy_node()
+    rclpy.shutdown()

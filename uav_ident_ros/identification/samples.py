@@ -306,8 +306,8 @@ class Intake:
 
     @property
     def waiting(self) -> int:
-        """Number of waiting ticks and outlying samples."""
-        return len(self._due) + len(self._outlying)
+        """Number of waiting ticks, outlying samples, and messages held back."""
+        return len(self._due) + len(self._outlying) + len(self._held or ())
 
     # -- rates -----------------------------------------------------------------------------
 

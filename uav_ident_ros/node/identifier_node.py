@@ -41,6 +41,10 @@ LOOKS_PER_TICK = 5
 """Requests for due ticks per tick period. With one, a tick would wait for up to a period, 25 ms in
 the mean, and controllers with it."""
 
+MOST_WAITING = 1000
+"""Most waiting ticks and held messages, 5 s at the highest `update_rate`: then /clock stands still
+while messages arrive, and they would pile up."""
+
 
 class IdentifierNode(Node):
     """The node: inputs, ticks, outputs, services, diagnostics.
@@ -171,6 +175,12 @@ class IdentifierNode(Node):
 
     def _on_diagnostics(self) -> None:
         self._inputs.empty()
+        if (waiting := self.identifier.intake.waiting) > MOST_WAITING:
+            self._excite.abort("aborted: no tick is computed")
+            self.identifier.restart()
+            self.get_logger().warning(
+                f"{waiting} ticks and messages dropped: the clock stands still"
+            )
         self._memory.attend(self._estimate, time.monotonic())
         warnings = self._waiting.warnings()
         for line in warnings:
