@@ -3,6 +3,7 @@
 
 import base64
 import gzip
+import json
 import re
 from dataclasses import replace
 from itertools import pairwise
@@ -222,12 +223,14 @@ def test_scripts_of_equal_charts_are_equal_and_keep_their_numbers() -> None:
 
     def drawn() -> tuple[str, dict[str, str]]:
         line = Timeline((0.0, 1.0), [])
-        chart = line.figure("y", 100)
+        chart = line.figure("<!--<script>", 100)  # nothing would end it in a page
         line.line(chart, columns({"t": numbers, "y": numbers}), "y", "tick")
         return _embed([Chart("one", "One", chart)])
 
     (script, divs), (again, other) = drawn(), drawn()
     assert divs == other
     assert script == again
+    assert "<" not in script
+    assert "<!--<script>" in str(json.loads(script))
     packed = re.findall(r'"data":"(H4sI[^"]+)"', script)
     assert numbers.tobytes() in {gzip.decompress(base64.b64decode(part)) for part in packed}

@@ -211,7 +211,7 @@ def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
 
     text = serialize_json(document.to_json(deferred=False))
     text = _NAMES.sub(lambda found: named(found.group()), text)
-    return text.replace("</", "<\\/"), {name: named(model.id) for name, model in roots.items()}
+    return text.replace("<", "\\u003c"), {name: named(model.id) for name, model in roots.items()}
 
 
 def _facts(summary: Mapping[str, Any]) -> list[str]:
