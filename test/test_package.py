@@ -21,7 +21,7 @@ import yaml
 from programs import python
 from repository import ROOT, console_scripts, setup_arguments
 
-from uav_ident_ros.commandline import USAGE_ERROR
+from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR
 from uav_ident_ros.node.memory import FINISH_WITHIN
 from uav_ident_ros.process import own_domain
 
@@ -172,6 +172,26 @@ def test_entry_points_are_callable_and_shadow_nothing():
     for target in scripts.values():
         module, _, function = target.partition(":")
         assert callable(getattr(importlib.import_module(module), function)), target
+
+
+@pytest.mark.parametrize(
+    ("module", "called", "arguments"),
+    [
+        ("simulation.cli", "flight_from", ["--output", "flight"]),
+        ("import_logs.cli", "read_log", ["flight.ulg"]),
+        ("offline.fleet_command", "fleet_of", ["flights.csv"]),
+    ],
+)
+def test_ctrl_c_ends_a_command_without_a_traceback(
+    module: str, called: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    command = importlib.import_module(f"{PACKAGE}.{module}")
+    monkeypatch.setattr(command, called, interrupt)
+    assert command.main(arguments) == INTERRUPTED
 
 
 def test_pip_requirements_exclude_ros():
