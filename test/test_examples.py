@@ -3,7 +3,9 @@
 
 import importlib.util
 import re
+import runpy
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -135,6 +137,16 @@ def test_the_prediction_from_a_message_equals_that_of_the_client() -> None:
     x = np.array([*rates, flow.beta, flow.alpha])
     found = load("predict_from_message").predict(message, rates, u, 1.0)
     np.testing.assert_allclose(found, model.predict(x, np.array(u), 1.0), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["own_estimator", "own_gate"])
+def test_an_example_without_its_bag_prints_its_usage(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr(sys, "argv", [name])
+    with pytest.raises(SystemExit):
+        runpy.run_path(str(FOLDER / f"{name}.py"), run_name="__main__")
+    assert capsys.readouterr().err.startswith("usage: ")
 
 
 @pytest.mark.parametrize(
