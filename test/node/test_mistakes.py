@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,6 +18,8 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.messages.streams import STREAMS
+from uav_ident_ros.node.waiting import silence_reason
 from uav_ident_ros.process import NodeProcess
 
 PERIOD = 0.01
@@ -79,6 +82,7 @@ def frozen() -> Spoil:
     return change
 
 
+IMU = "sensor_msgs/msg/Imu"
 NO_RATES = [-1.0, *[0.0] * 8]
 DROPPED = "every message on '{}' is dropped: {}"
 MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
@@ -277,3 +281,25 @@ def test_every_mistake_is_named_with_its_cure(
 def test_the_node_recovers_after_the_mistakes(source: Source, node: NodeProcess) -> None:
     until_no_problem(source)
     assert node.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("topics", "best"),
+    [
+        (["/drone1/imu/data", "/drone2/gyro/raw"], "/drone2/gyro/raw"),
+        (["/drone1/imu/data"], "/drone1/imu/data"),
+    ],
+)
+def test_a_topic_of_the_own_vehicle_is_advised_first(topics: list[str], best: str) -> None:
+    class Graph:
+        """Stand-in for a node of the second vehicle."""
+
+        get_namespace = staticmethod(lambda: "/drone2")
+        get_topic_names_and_types = staticmethod(lambda: [(name, [IMU]) for name in topics])
+        get_publishers_info_by_topic = staticmethod(lambda _: [])
+        count_publishers = staticmethod(topics.count)
+
+    wanted = SimpleNamespace(
+        topic="/drone2/imu/data", stream=STREAMS[0], feed=SimpleNamespace(type_name=IMU)
+    )
+    assert f": '{best}' carries {IMU}" in silence_reason(Graph, wanted)  # type: ignore[arg-type]

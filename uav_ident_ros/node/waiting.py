@@ -63,10 +63,12 @@ def _mismatch(offered: QoSProfile, wanted: Input) -> str:
 
 
 def _alternative_topic(node: Node, wanted: Input) -> str:
-    """Return advice on a topic that may be meant, or that none fits."""
+    """Return advice on a topic that may be meant, in the node's namespace if one fits there."""
     found, stream, own = _published(node), wanted.stream, wanted.feed.type_name
-    for kinds in ((own,), stream.types):
-        fitting = {t: kind for t, types in found.items() for kind in types if kind in kinds}
+    space = node.get_namespace().rstrip("/")
+    here = {topic: types for topic, types in found.items() if topic.startswith(f"{space}/")}
+    for topics, kinds in itertools.product((here, found), ((own,), stream.types)):
+        fitting = {t: kind for t, types in topics.items() for kind in types if kind in kinds}
         if fitting:
             (best,) = difflib.get_close_matches(wanted.topic, fitting, n=1, cutoff=0.0)
             kind = fitting[best]
