@@ -128,7 +128,9 @@ def test_the_age_of_the_state_file_is_by_the_system_clock(path: Path, capfd: Cap
     write(path, coefficients(2.0), saved=NOW + day)
     vehicle = Vehicle(path)
     assert vehicle.values.any()
-    assert "the computer's clock is 24 h behind" in capfd.readouterr().err
+    printed = capfd.readouterr().err
+    assert "the computer's clock is 24 h behind" in printed
+    assert re.search(rf"started from '{re.escape(str(path))}'$", printed, re.MULTILINE)
     # a file without `saved` has the time of its modification
     for age, started in ((1, True), (8, False)):
         write(path, coefficients(2.0))
@@ -136,6 +138,14 @@ def test_the_age_of_the_state_file_is_by_the_system_clock(path: Path, capfd: Cap
         os.utime(path, (moment, moment))
         vehicle = Vehicle(path)
         assert vehicle.values.any() == started
+
+
+def test_a_state_file_below_a_file_is_named_as_such(path: Path) -> None:
+    path.parent.write_text("")
+    vehicle = Vehicle(path)
+    vehicle.learn(1.0)
+    failed = (False, f"cannot write '{path}': '{path.parent}' is no folder")
+    assert vehicle.memory.save(vehicle.estimate(usable=True), last=True) == failed
 
 
 def test_without_a_state_file_nothing_is_written() -> None:

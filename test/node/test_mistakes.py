@@ -136,7 +136,8 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
     "airspeed of another unit": (
         DROPPED.format("/airspeed", "their values are larger than any aircraft has: look at un"),
         {"airspeed": put("data", 20_000.0)}),
-    "no stamps": (DROPPED.format("/imu/data", "their stamp is zero: let"), {"imu": stamp(0)}),
+    "no stamps": (DROPPED.format("/imu/data", "their stamp is zero or negative: let"),
+        {"imu": stamp(0)}),
     "stamps stand still": (DROPPED.format("/imu/data", "their stamps repeat"), {"imu": frozen()}),
     "stamps of another century": (
         DROPPED.format("/imu/data", "their stamp is beyond 2038: look at the clock"),

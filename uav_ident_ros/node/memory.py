@@ -136,12 +136,14 @@ class Memory:
             self._log.warning(f"starting cold: {line}")
             return
         self._holds_usable, self._known = bool(notes.usable), held
+        saved = f", saved {in_words(age)} ago"
         if age < timedelta(0):
+            saved = ""
             self._log.warning(
                 f"the computer's clock is {in_words(-age)} behind the state file '{path}': its age "
                 "cannot be judged"
             )
-        self._log.info(f"started from '{path}', saved {in_words(age)} ago")
+        self._log.info(f"started from '{path}'{saved}")
 
     def forget(self) -> None:
         """Allow any new coefficients to replace the file, after a reset."""
@@ -193,6 +195,8 @@ class Memory:
             self._known = done.result()
         except CoefficientsFileError as error:
             return str(error)
+        except FileExistsError as error:  # where the folder should be
+            return f"cannot write '{self._path}': '{error.filename}' is no folder"
         except OSError as error:
             return f"cannot write '{self._path}': {error.strerror}"
         self._identifier.note_saved(self._known)

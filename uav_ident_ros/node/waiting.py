@@ -126,7 +126,7 @@ LOOKS = 3
 
 CURES: dict[str, str] = {
     Drop.NOT_FINITE: "their values are not finite numbers: look at the source",
-    Drop.ZERO_STAMP: "their stamp is zero: let the source stamp them",
+    Drop.ZERO_STAMP: "their stamp is zero or negative: let the source stamp them",
     Drop.BEYOND_STAMP: "their stamp is beyond 2038: look at the clock of the source",
     Drop.OUTLYING_STAMP: "their stamps jump to and fro: are there two sources?",
     Drop.IMPLAUSIBLE: "their values are larger than any aircraft has: look at units and type",
