@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The closed loop over DDS: plant, identifier, controller and reference as processes."""
 
+import os
 import signal
 import time
 from collections.abc import Callable
@@ -21,6 +22,7 @@ from uav_ident_ros.guest import Guest
 from uav_ident_ros.node.notices import without_numbers
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.ros import latched
+from uav_ident_ros.simulation import closed_loop
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, main, tracking_error
 from uav_ident_ros.simulation.flight import SimulationError
 
@@ -53,6 +55,25 @@ def land(running: ClosedLoop) -> None:
 
 def printed(running: ClosedLoop, name: str, words: str) -> bool:
     return wait_for(lambda: words in running.log(name), TIMEOUT)
+
+
+@pytest.mark.parametrize("given", ["83", None])
+def test_a_flight_has_its_own_domain_unless_one_is_given(
+    given: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    domains: list[str | None] = []
+
+    def started(*_: object) -> None:
+        domains.append(os.environ.get("ROS_DOMAIN_ID"))
+        raise SimulationError("not flown")
+
+    monkeypatch.setattr(closed_loop, "ClosedLoop", started)
+    if given:
+        monkeypatch.setenv("ROS_DOMAIN_ID", given)
+    else:
+        monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    assert closed_loop.main([]) == 1
+    assert domains == [given] if given else domains[0] in map(str, range(1, 102))
 
 
 def test_log_lines_that_differ_in_numbers_alone_are_equal() -> None:

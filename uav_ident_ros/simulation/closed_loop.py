@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import signal
 import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -24,7 +26,7 @@ import numpy as np
 from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.control import LAWS
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.process import NodeProcess
+from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import SimulationError, check_positive
@@ -246,7 +248,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         loop = loop_from(options)
         times = [parse_fault(text).time for text in options.fault]
-        with tempfile.TemporaryDirectory() as scratch:
+        domain = nullcontext() if os.environ.get("ROS_DOMAIN_ID") else own_domain()
+        with domain, tempfile.TemporaryDirectory() as scratch:
             folder = options.output or Path(scratch)
             folder.mkdir(parents=True, exist_ok=True)
             with ClosedLoop(loop, folder) as running:
