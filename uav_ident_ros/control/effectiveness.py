@@ -66,7 +66,7 @@ LEAST_SIGMA = 0.1
 SURE = 22.0
 """Log-likelihood ratio from which an effect counts as reversed or lost. On the c172p, a sudden
 onset of severe gusts (6 of 7) reaches 8 for 'reversed', an aileron with half of its effect 7; a
-reversed one passes it in a tenth of a second."""
+reversed one passes it in 0.2 s."""
 
 LEAST_DETECTION_TIME = np.array([[0.15], [0.1]])
 """Shortest times to reach `SURE`, reversed and lost, s. A shifting load, or a motor that loses
