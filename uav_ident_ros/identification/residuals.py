@@ -355,13 +355,13 @@ class Confirmation:
         effect: FloatArray,  # (3, m) Estimated effects of the main inputs in the samples
         variance: FloatArray,  # (rows,) Of the innovations
         max_age: float,  # Time in which a confirmation fades at rest, s; 0: never
-        answers: BoolArray,  # (3,) Whether the main input may be feedback
+        may_answer: BoolArray,  # (3,) Whether the main input may be feedback
         *,
         restarted: bool,  # Whether the first sample does not continue the last
     ) -> None:
         """Add whitened samples to the evidence."""
         new = self._effects.innovations(effect[..., None], white.dt, restarted=restarted)
-        effect = effect - new[..., 0] * answers[:, None]
+        effect = effect - new[..., 0] * may_answer[:, None]
         estimated = white.residual[: len(ROWS)]
         explained = white.y[: len(ROWS)] - estimated  # by the whole row
         residual = estimated + _LEFT[:, 0] * effect + _LEFT[:, 1] * explained

@@ -155,6 +155,9 @@ LARGEST_NUMBER = 1e6
 """Largest plausible magnitude of a coefficient in SI units, and of a channel, its trim, scale and
 weights: radians, fractions, PWM microseconds and motor speeds are all smaller."""
 
+PLAUSIBLE = (-LARGEST_NUMBER, LARGEST_NUMBER)
+"""Range of these values."""
+
 MAX_DELAY = 0.5
 """Longest transport delay that the sample buffers cover, s."""
 
@@ -223,17 +226,13 @@ class ImuSettings:
 class MixingSettings:
     """Rows of the mixing matrix M in u = M (raw - trim)."""
 
-    de: tuple[float, ...] = _setting(
-        (1.0, 0.0, 0.0, 0.0), "", (-LARGEST_NUMBER, LARGEST_NUMBER), text=
+    de: tuple[float, ...] = _setting((1.0, 0.0, 0.0, 0.0), "", PLAUSIBLE, text=
         "Elevator from the channels: one weight per channel. Change it for elevons and V-tails.")
-    dr: tuple[float, ...] = _setting(
-        (0.0, 1.0, 0.0, 0.0), "", (-LARGEST_NUMBER, LARGEST_NUMBER), text=
+    dr: tuple[float, ...] = _setting((0.0, 1.0, 0.0, 0.0), "", PLAUSIBLE, text=
         "Rudder from the channels: one weight per channel. Change it for V-tails.")
-    da: tuple[float, ...] = _setting(
-        (0.0, 0.0, 1.0, 0.0), "", (-LARGEST_NUMBER, LARGEST_NUMBER), text=
+    da: tuple[float, ...] = _setting((0.0, 0.0, 1.0, 0.0), "", PLAUSIBLE, text=
         "Aileron from the channels: one weight per channel. Change it for elevons and flaperons.")
-    dth: tuple[float, ...] = _setting(
-        (0.0, 0.0, 0.0, 1.0), "", (-LARGEST_NUMBER, LARGEST_NUMBER), text=
+    dth: tuple[float, ...] = _setting((0.0, 0.0, 0.0, 1.0), "", PLAUSIBLE, text=
         "Throttle from the channels: one weight per channel. Change it for several motors, which "
         "share it.")
 
@@ -251,15 +250,14 @@ class ActuatorSettings:
         "Indices (from 0) or, where the message names them, names of the N channels in use. Set "
         "them to the aircraft's surfaces and throttle.")
     mixing: MixingSettings = dataclasses.field(default_factory=MixingSettings)
-    scale: tuple[float, ...] = _setting((), "", (-LARGEST_NUMBER, LARGEST_NUMBER), text=
+    scale: tuple[float, ...] = _setting((), "", PLAUSIBLE, text=
         "Factor of each channel before the mixing, N values; negative reverses. Empty: ones. Set "
         "it to bring raw values to radians or fractions.")
     thrust_curve: tuple[float, ...] = _setting((), "", (0.0, 1.0), text=
         "Quadratic share f of each channel's thrust, N values: thrust = f s^2 + (1 - f) s, for "
         "scaled commands s from 0 to 1. Empty: zeros. Set 1.0 where a command is a motor's speed,"
         " 0.0 for a surface and where the autopilot sends thrust (PX4 with THR_MDL_FAC).")
-    trim: tuple[float, ...] = _setting(
-        (), "", (-LARGEST_NUMBER, LARGEST_NUMBER), restarts=True, text=
+    trim: tuple[float, ...] = _setting((), "", PLAUSIBLE, restarts=True, text=
         "Raw value of each channel in trimmed flight, N values. Empty: zeros. Set it to the "
         "values of steady level flight.")
     learn_trim_time: float = _setting(0.0, "s", (0.0, 60.0), text=
@@ -483,8 +481,7 @@ class Settings:
         "Estimator: the paper's 'gradient' law, recursive 'least_squares', or the guarded "
         "'instrumental_variable', which gyro noise and gusts do not bias. Leave it unless you "
         "compare methods.")
-    initial_coefficients: tuple[float, ...] = _setting(
-        (), "", (-LARGEST_NUMBER, LARGEST_NUMBER), text=
+    initial_coefficients: tuple[float, ...] = _setting((), "", PLAUSIBLE, text=
         "Initial coefficients A_m: 3n values, row-major, SI; for 'flight_dynamics' 3n, or 5n with "
         "ay and az. Empty: zeros. Set them if an aircraft model is at hand.")
     initial_coefficients_file: str = _setting("", text=
