@@ -331,6 +331,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("--columns FILE.*t,p,q,r,de", lambda folder: table(folder)[:1]),
     ("no column 'de'; it has t, p, q, r", first("t,p,q,r,de", "t,p,q,r,elevator")),
     ("no column 'r'", first("t,p,q,r,de", "t,p,q,R,de")),
+    ("flight.csv': its header has column 'p' more than once: rename", first("q,r,de", "p,q,r,de")),
     ("line 102: 'fast' is no number", first("1.00,0.1", "1.00,fast")),
     ("line 102: the time is 'noon'", first("1.00,0.1", "noon,0.1")),
     ("line 102: the time is '-1.0': a stamp holds 0 to", first("1.00,0.1", "-1.0,0.1")),
@@ -354,6 +355,10 @@ REFUSED: list[tuple[str, Make]] = [
     ("elevator.de is 'up': a finite number is needed", of_map("de: 1.0", "de: up")),
     ("no channel has a weight", of_map(", de: 1.0", "")),
     ("channels.elevator has an unknown entry 'dq'", of_map("de: 1.0", "dq: 1.0")),
+    ("columns.yaml': line 6: 'elevator' is there twice: keep one",
+     of_map("channels:", "channels:\n  elevator: {column: da, de: 0.5}")),
+    ("channels.elevator: column 'de' is used twice: keep one of its channels", of_map("channels:",
+     "channels:\n  de: {da: 0.5}")),
     ("columns.yaml': line [1-6]: ", of_map("time: {column: t}", "time: {")),
 ]  # fmt: skip
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strict reading of YAML: scalars as text, unique keys, checked entries."""
+"""Strict reading of YAML: unique keys, checked entries."""
 
 import errno
 import math
@@ -22,8 +22,8 @@ def malformed(place: Any, reason: str) -> yaml.YAMLError:
     return yaml.MarkedYAMLError(problem=reason, problem_mark=place.start_mark)
 
 
-class StrictLoader(yaml.BaseLoader):
-    """A loader of text, mappings and lists; the caller converts the text."""
+class _UniqueKeys:
+    """Part of a loader that refuses a key that occurs twice; PyYAML takes the last."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
         """Return a mapping; raises a YAMLError if a key occurs twice."""
@@ -32,9 +32,17 @@ class StrictLoader(yaml.BaseLoader):
             if not isinstance(key, yaml.ScalarNode):
                 raise malformed(key, "a key must be a plain name")
             if key.value in seen:
-                raise malformed(key, f"'{key.value}' is there twice")
+                raise malformed(key, f"'{key.value}' is there twice: keep one of the two")
             seen.add(key.value)
-        return dict(super().construct_mapping(node, deep))
+        return dict(super().construct_mapping(node, deep))  # type: ignore[misc]
+
+
+class StrictLoader(_UniqueKeys, yaml.BaseLoader):
+    """A loader of text, mappings and lists; the caller converts the text."""
+
+
+class TypedLoader(_UniqueKeys, yaml.SafeLoader):
+    """A loader of values with the types of YAML."""
 
 
 UNUSABLE = (OSError, UnicodeDecodeError, RecursionError, yaml.YAMLError, EntryError)

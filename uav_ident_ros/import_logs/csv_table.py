@@ -14,6 +14,7 @@ import yaml
 from uav_ident_ros.files.strict_yaml import (
     UNUSABLE,
     EntryError,
+    TypedLoader,
     finite,
     mapping,
     meant,
@@ -71,7 +72,7 @@ class ColumnMap:
 def load_column_map(path: Path) -> ColumnMap:
     """Read a column map; an `ImportLogError` names a missing, unknown or wrong entry."""
     try:
-        return _column_map(yaml.safe_load(path.read_text(encoding="utf-8")))
+        return _column_map(yaml.load(path.read_text(encoding="utf-8"), TypedLoader))
     except UNUSABLE as error:
         raise ImportLogError(
             f"column map '{path}': {problem(error)} (see import_log --help)"
@@ -120,7 +121,7 @@ def _channels(content: Any) -> dict[str, Channel]:
         entry = mapping(value, where, (), ("column", "unit", *numbers))
         column = str(entry.get("column", name))
         if column in channels:
-            raise EntryError(f"{where}: column '{column}' is used twice")
+            raise EntryError(f"{where}: column '{column}' is used twice: keep one of its channels")
         given = {
             key: finite(entry[key], f"{where}.{key}")
             for key in numbers
@@ -234,6 +235,8 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
         if name not in header:
             listed = ", ".join(header)
             raise EntryError(f"it has no column '{name}'; it has {listed}: {meant(name, header)}")
+        if header.count(name) > 1:
+            raise EntryError(f"its header has column '{name}' more than once: rename the others")
     place, *places = (header.index(name) for name in (time, *read))
     t_ns, values, short = [], [], []
     for line, cells in rows:
