@@ -10,6 +10,8 @@ from blackbox_writing import ACC, COUNT, FIELDS, GYRO, MOTORS, T_US, blackbox
 from good_logs import written
 from imported import Importer
 
+from uav_ident_ros.import_logs.cli import DAMAGED
+
 
 def log_of(importer: Importer, content: bytes) -> Path:
     return written(importer.folder / "log.bbl", content)
@@ -88,6 +90,17 @@ def test_a_truncated_or_damaged_log_loses_its_damaged_frames_alone(importer: Imp
     assert "cut off at its end" in printed
     assert len(found.imu_t_ns) > COUNT // 3
     spoilt = whole[:half] + b"\xff" * 60 + whole[half + 60 :]
-    found, _, printed = importer(log_of(importer, spoilt))
+    found, _, printed = importer(log_of(importer, spoilt), status=DAMAGED)
+    assert "the file is damaged: orangebox skipped what is no frame in 2 place(s)" in printed
     assert "3 of 600 frames are missing or damaged, in 1 places" in printed
     assert len(found.imu_t_ns) == COUNT - 3
+
+
+def test_frames_that_the_logger_lost_or_a_filled_memory_are_no_damage(importer: Importer) -> None:
+    end = len(b"E\xffEnd of log\0")
+    whole, until, behind = blackbox(), len(blackbox(300)) - end, len(blackbox(301)) - end
+    lost = whole[:until] + whole[behind:]
+    for content, count in ((lost, 600), (lost[:-end] + b"\xff" * 999, 599)):
+        found, _, printed = importer(log_of(importer, content))
+        assert f"1 of {count} frames are missing or damaged, in 1 places" in printed
+        assert len(found.imu_t_ns) == count - 1

@@ -223,7 +223,9 @@ def test_a_dataflash_log_reads_as_pymavlink_reads_it(tmp_path: Path) -> None:
 
 
 def test_a_table_with_a_truncated_row_gives_all_other_rows(importer: Importer) -> None:
-    found, _, printed = importer(*table(importer.folder, TABLE[:-12] + "\n2.90,0.1,0.2,0.3,2.9\n"))
+    found, _, printed = importer(
+        *table(importer.folder, TABLE[:-12] + "\n2.90,0.1,0.2,0.3,2.9\n"), status=DAMAGED
+    )
     assert "1 rows have too few cells and were left out, the first in line 301" in printed
     assert "rates: 1 stamps are earlier than the one before" in printed
     assert len(found.imu_t_ns) == 300

@@ -121,9 +121,11 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
     if len(starts) > 2:
         log.findings.read.append(f"log {longest} of {len(starts) - 1} in this file, the longest")
     frames: list[tuple[float, ...]] = []
+    skipped = 0  # Places before the last frame: what follows it may be the filling of the memory
     try:
         for frame in parser.frames():
             frames.append(frame.data)
+            skipped = parser._ctx.invalid_frame_count
     except Exception as error:  # damaged bytes make a parser fail in many ways
         reader = parser.reader
         if reader.tell() >= len(reader):
@@ -133,6 +135,10 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
                 f"the file is damaged: orangebox stopped at byte {reader.tell()} of {len(reader)} "
                 f"({' '.join(str(error).split())}); the part before was read"
             )
+    if skipped:
+        log.findings.damage.append(
+            f"the file is damaged: orangebox skipped what is no frame in {skipped} place(s)"
+        )
     used = ("time", "loopIteration", *SIGNALS)
     columns = {
         name: np.array([frame[i] for frame in frames], dtype=float)

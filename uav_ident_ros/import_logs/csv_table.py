@@ -249,7 +249,7 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
     if not values:
         raise EntryError("it has no complete row below its header")
     if short:
-        log.findings.lost.append(
+        log.findings.damage.append(
             f"{len(short)} rows have too few cells and were left out, the first in line {short[0]}"
         )
     return {
