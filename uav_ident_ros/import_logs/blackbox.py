@@ -44,7 +44,7 @@ def read_blackbox(path: Path, choice: Choice) -> FlightLog:
             signal: v * scale for signal, v in frames.items() if signal.startswith(f"{name}[")
         }
         if columns:
-            log.add(name, 0, {IN_NS: t_ns, **columns})
+            log.add(name, {IN_NS: t_ns, **columns})
     if not log.kinds:
         raise log.refusal(" has no frame with a plausible stamp")
     importer = _Blackbox(log, KNOWN, choice)

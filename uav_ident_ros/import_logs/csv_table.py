@@ -160,7 +160,7 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
     log = Log(path, "table")
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            log.add("the table", 0, _read_columns(file, columns, log))
+            log.add("the table", _read_columns(file, columns, log))
         streams = _streams(log.messages("the table"), columns)
     except (*UNUSABLE, csv.Error) as error:
         raise ImportLogError(f"table '{path}': {problem(error)}") from None

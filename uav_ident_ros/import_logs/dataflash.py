@@ -30,10 +30,8 @@ MAGIC = HEADER + bytes([FMT])
 TRAILER = 528
 """Largest page of a log, bytes: less than a page behind the last message is padding, no damage."""
 
-INSTANCE_FIELD = "I"
-
 OLD_INSTANCES = {"IMU2": ("IMU", 1), "IMU3": ("IMU", 2)}
-"""Present type and instance of the old types of messages, which had no field for the instance."""
+"""Present type and instance of the old types of messages, which had no field `I`, the instance."""
 
 FIELD_TYPES = {
     "b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8",
@@ -87,7 +85,7 @@ def read_dataflash(path: Path, types: Collection[str]) -> Log:
             _take_parameters(log, columns)
         elif STAMPS.keys() & columns:
             name, instance = OLD_INSTANCES.get(kind.name, (kind.name, 0))
-            log.add(name, instance, columns, INSTANCE_FIELD)
+            log.add(name, columns, columns.get("I", instance))
     found.note_loss(log, gaps)
     return log
 

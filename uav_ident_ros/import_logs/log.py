@@ -111,23 +111,17 @@ class Log:
         """Newest stamp, ns."""
         return max((int(m.stamp_ns.max()) for m in self._found.values()), default=0)
 
-    def add(
-        self, name: str, instance: int, columns: dict[str, Column], instance_field: str = ""
-    ) -> None:
-        """Add the messages with plausible stamps.
-
-        If there is an `instance_field`, it gives the instance of each message.
-        """
+    def add(self, name: str, columns: dict[str, Column], instance: int | Column = 0) -> None:
+        """Add the messages with plausible stamps, of one instance or each of its own."""
         good = plausible(Messages(name, columns).stamp_ns)
         if not good.all():
             self.findings.damage.append(
                 f"{int((~good).sum())} of {len(good)} samples of {name} have an implausible "
                 "stamp and were left out"
             )
-        columns = {field: values[good] for field, values in columns.items()}
-        which = columns.get(instance_field, np.full(int(good.sum()), instance))
-        for number in map(int, np.unique(which)):
-            chosen = {field: values[which == number] for field, values in columns.items()}
+        which = np.broadcast_to(instance, good.shape)
+        for number in map(int, np.unique(which[good])):
+            chosen = {f: values[good & (which == number)] for f, values in columns.items()}
             named = f"{name}[{number}]" if number else name
             self._found[name, number] = Messages(named, chosen)
             self.kinds.add(name)

@@ -75,7 +75,7 @@ def read_ulog(path: Path, topics: Collection[str]) -> Log:
     with contextlib.redirect_stdout(io.StringIO()):  # pyulog prints
         ulog = ULog(whole, sorted(found.stamped & {*topics}))
     for topic in ulog.data_list:
-        log.add(topic.name, topic.multi_id, topic.data)
+        log.add(topic.name, topic.data, topic.multi_id)
     first = [(0, name, value) for name, value in ulog.initial_parameters.items()]
     for t_us, name, value in first + ulog.changed_parameters:
         if isinstance(value, int | float):
@@ -203,7 +203,7 @@ def read_folder(path: Path, topics: Collection[str]) -> Log:
     for file, match in found.items():
         columns = _table(file)
         if len(columns["timestamp"]):
-            log.add(match["topic"], int(match["instance"]), columns)
+            log.add(match["topic"], columns, int(match["instance"]))
     for file in path.glob("*params.csv"):  # of ulog_params: names and values
         try:
             lines = filter(str.strip, file.read_text(encoding="utf-8").splitlines())
