@@ -91,16 +91,17 @@ def test_a_truncated_or_damaged_log_loses_its_damaged_frames_alone(importer: Imp
     assert len(found.imu_t_ns) > COUNT // 3
     spoilt = whole[:half] + b"\xff" * 60 + whole[half + 60 :]
     found, _, printed = importer(log_of(importer, spoilt), status=DAMAGED)
-    assert "the file is damaged: orangebox skipped what is no frame in 2 place(s)" in printed
+    assert "orangebox skipped 2 place(s) of the file that it could not read as a frame" in printed
     assert "3 of 600 frames are missing or damaged, in 1 places" in printed
     assert len(found.imu_t_ns) == COUNT - 3
 
 
-def test_frames_that_the_logger_lost_or_a_filled_memory_are_no_damage(importer: Importer) -> None:
+def test_lost_frames_a_disarm_event_and_filling_are_no_damage(importer: Importer) -> None:
+    """The logger may lose frames, and orangebox does not know the event before the end."""
     end = len(b"E\xffEnd of log\0")
     whole, until, behind = blackbox(), len(blackbox(300)) - end, len(blackbox(301)) - end
-    lost = whole[:until] + whole[behind:]
-    for content, count in ((lost, 600), (lost[:-end] + b"\xff" * 999, 599)):
-        found, _, printed = importer(log_of(importer, content))
+    lost = whole[:until] + whole[behind:-end]
+    for rest, count in ((whole[-end:], 600), (b"E\x0f\4" + whole[-end:], 600), (b"\xff" * 99, 599)):
+        found, _, printed = importer(log_of(importer, lost + rest))
         assert f"1 of {count} frames are missing or damaged, in 1 places" in printed
         assert len(found.imu_t_ns) == count - 1

@@ -137,7 +137,7 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
             )
     if skipped:
         log.findings.damage.append(
-            f"the file is damaged: orangebox skipped what is no frame in {skipped} place(s)"
+            f"orangebox skipped {skipped} place(s) of the file that it could not read as a frame"
         )
     used = ("time", "loopIteration", *SIGNALS)
     columns = {
