@@ -79,14 +79,13 @@ class Bag:
         path: Path | str,
     ) -> None:
         self.path = Path(path)
-        self._stack = ExitStack()
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._readers: list[AnyReader] = []
         # Defects of the bag and extent of the salvage, a line each; grows during reading
         self.damage: list[str] = []
-        try:
+        with ExitStack() as stack:
             for reader in _opened(self.path, self.damage):
-                self._stack.callback(reader.close)
+                stack.callback(reader.close)
                 self._readers.append(reader)
             self._connections = [c for reader in self._readers for c in reader.connections]
             self.types: dict[str, str] = {}  # Message type of each topic, by name
@@ -94,9 +93,7 @@ class Bag:
             for connection in sorted(self._connections, key=lambda connection: connection.topic):
                 self.types.setdefault(connection.topic, connection.msgtype)
                 self.counts[connection.topic] += connection.msgcount
-        except BaseException:
-            self._stack.close()
-            raise
+            self._stack = stack.pop_all()
 
     def __enter__(self) -> Bag:
         """Return the bag itself: it is open from the start."""
