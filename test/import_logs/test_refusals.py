@@ -231,6 +231,12 @@ def test_a_table_with_a_truncated_row_gives_all_other_rows(importer: Importer) -
     assert len(found.imu_t_ns) == 300
 
 
+def test_unused_columns_may_share_a_name(importer: Importer) -> None:
+    text = TABLE.replace("r,de", "r,note,,note,,de").replace("0.3,", "0.3,5,,6,,")
+    found = importer(*table(importer.folder, text)).bag
+    np.testing.assert_allclose(found.actuators[:, 0], 0.01 * np.arange(300))
+
+
 # --- refusals -----------------------------------------------------------------------------------
 
 
