@@ -53,7 +53,7 @@ def fly(loop: Loop, during: Callable[[ClosedLoop], None] | None = None) -> tuple
         ):
             if during is not None:
                 during(running)
-            record = running.wait(FLIGHT_TIMEOUT)
+            record = running.wait()
             printed = running.log("simulated_plant")
             if during is not None or "going on" not in printed:
                 return record, running.log("controller")

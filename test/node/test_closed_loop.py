@@ -44,7 +44,7 @@ def fly(loop: Loop, folder: Path, during: Callable[[ClosedLoop], None] | None = 
     with ClosedLoop(loop, folder) as running:
         if during is not None:
             during(running)
-        record = running.wait(TIMEOUT)
+        record = running.wait()
     return record, {name: running.log(name) for name in running.processes}
 
 
@@ -76,6 +76,35 @@ def test_a_flight_has_its_own_domain_unless_one_is_given(
     assert domains == [given] if given else domains[0] in map(str, range(1, 102))
 
 
+class Plant:
+    """Stands in for the process of a plant that flies, or stands still, for some checks."""
+
+    def __init__(self, record: Path, checks: int, flies: bool) -> None:
+        self.log, self.returncode = "it flies\n", 0
+        self._record, self._left, self._flies = record, checks, flies
+
+    def poll(self) -> int | None:
+        self._left -= 1
+        if self._left == 0:
+            np.savez(self._record, lost=[np.nan])
+        elif self._flies:
+            self._record.touch()
+        return 0 if self._left <= 0 else None
+
+
+def test_a_slow_flight_is_not_given_up_while_it_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(closed_loop, "STANDSTILL", 0.5)
+    running = ClosedLoop(SHORT, tmp_path)
+    running.processes = {"simulated_plant": Plant(running.record_file, 15, flies=True)}  # type: ignore[dict-item]
+    assert np.isnan(running.wait()["lost"]).all()
+    running.record_file.unlink()
+    running.processes = {"simulated_plant": Plant(running.record_file, 15, flies=False)}  # type: ignore[dict-item]
+    with pytest.raises(SimulationError, match=r"stood still for 0.5 s: it flies"):
+        running.wait()
+
+
 def test_log_lines_that_differ_in_numbers_alone_are_equal() -> None:
     first, second, other = (
         f"flying on measured coefficients (pitch): {row} is measured to have {share:.2f} times"
@@ -92,6 +121,7 @@ def test_flights_are_equal_on_any_machine_until_the_excitation_starts(
     def interrupt(running: ClosedLoop) -> None:
         """Pause the controller and the identifier for 0.4 s during the flight."""
         assert printed(running, "controller", "identified")
+        assert running._progress()
         for name in ("controller", "identifier"):
             running.processes[name].send_signal(signal.SIGSTOP)
             time.sleep(0.4)

@@ -26,6 +26,7 @@ import numpy as np
 from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.control import LAWS
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.node.waiting import Progress
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.faults import parse_fault
@@ -49,6 +50,10 @@ BEFORE = 30.0
 
 AFTER = (0.0, 5.0, 10.0, 20.0, math.inf)
 """Limits of the evaluated intervals after the fault, s."""
+
+STANDSTILL = 120.0
+"""Time without progress after which a flight is given up, s: twice the plant's longest wait, that
+for the other nodes at the start."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,7 @@ class ClosedLoop:
         self.processes: dict[str, NodeProcess] = {}
 
     def __enter__(self) -> ClosedLoop:
+        self.record_file.unlink(missing_ok=True)
         for name in MODULES:
             self.start(name)
         return self
@@ -134,18 +140,22 @@ class ClosedLoop:
         """Return the output of a process up to now."""
         return self.processes[name].log
 
-    def wait(self, timeout: float) -> dict[str, FloatArray]:
+    def _progress(self) -> int:
+        """Return a number that changes with every sample: the plant touches the record's file."""
+        return self.record_file.stat().st_mtime_ns if self.record_file.exists() else 0
+
+    def wait(self) -> dict[str, FloatArray]:
         """Wait until the plant has ended or the aircraft is lost; return its record."""
-        end = time.monotonic() + timeout
-        plant = self.processes["simulated_plant"]
+        plant, progress = self.processes["simulated_plant"], Progress(0)
         while plant.poll() is None:
             for name, process in self.processes.items():
                 if name != "identifier" and process.poll() not in (None, 0):
                     raise SimulationError(f"{name} ended: {_last_line(self.log(name))}")
-            if time.monotonic() > end:
-                raise SimulationError(f"the flight is not over after {timeout:g} s")
+            if progress.unchanged_for(self._progress()) > STANDSTILL:
+                line = _last_line(self.log("simulated_plant"))
+                raise SimulationError(f"the flight has stood still for {STANDSTILL:g} s: {line}")
             time.sleep(0.1)
-        if plant.returncode and not self.record_file.exists():
+        if plant.returncode and not (self._progress() and self.record_file.stat().st_size):
             raise SimulationError(f"simulated_plant: {_last_line(self.log('simulated_plant'))}")
         with np.load(self.record_file) as archive:
             return dict(archive)
@@ -253,7 +263,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             folder = options.output or Path(scratch)
             folder.mkdir(parents=True, exist_ok=True)
             with ClosedLoop(loop, folder) as running:
-                record = running.wait(timeout=max(120.0, 3.0 * loop.duration))
+                record = running.wait()
                 print(running.log("controller"), end="")
                 print(running.log("simulated_plant"), end="")
             for line in report(record, min(times, default=0.5 * loop.duration)):

@@ -7,11 +7,13 @@ a flight is the same on any machine, and as fast as the loop allows. Otherwise t
 real time, stamped with the wall clock, without waiting.
 """
 
+import contextlib
 import math
 import sys
 import time
 from collections.abc import Callable
 from operator import itemgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -86,7 +88,8 @@ PARAMETERS = (
     Setting("wait_for_identifier", "bool", True, "", "In lock-step: wait for coefficients."),
     Setting("wait_for_reference", "bool", False, "",
         "In lock-step: wait for rate_reference before the first sample."),
-    Setting("record_file", "str", "", "", "NumPy archive of the flight, written at the end."),
+    Setting("record_file", "str", "", "",
+        "NumPy archive of the flight, written at the end; touched at every sample."),
 )  # fmt: skip
 
 RECORDED = (
@@ -216,6 +219,7 @@ class PlantNode(Node):
         try:
             while self._going() and self._aircraft.time < duration:
                 self._one_interval(began)
+                self._show_progress()
         except SimulationError:
             self._record["lost"] = [self._aircraft.time]
             raise
@@ -226,6 +230,12 @@ class PlantNode(Node):
             f"flew {self._aircraft.time:.1f} s at {speed:.1f} times real time; "
             f"{self.missed} samples without an answer"
         )
+
+    def _show_progress(self) -> None:
+        """Touch the record's file: who waits for it sees that the flight goes on."""
+        if path := self._value["record_file"]:
+            with contextlib.suppress(OSError):  # `_save_record` reports it
+                Path(path).touch()
 
     def _save_record(self) -> None:
         if path := self._value["record_file"]:
