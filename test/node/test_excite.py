@@ -179,7 +179,8 @@ def test_the_own_signal_counts_only_while_nobody_else_publishes_one(
     monkeypatch.setattr(identifier, "add_excitation", lambda t_ns, *_, **__: taken.append(t_ns))
     guest = Guest("excite")
     try:
-        excite = Excite(guest.node, identifier)
+        injected = guest.node.create_subscription(JointState, "excitation", print, 1)
+        excite = Excite(guest.node, identifier, injected)
 
         def tick(t_ns: int) -> None:
             excite.tick(estimate_of(np.ones(identifier.structure.mask.shape), t_ns=t_ns))
@@ -190,8 +191,14 @@ def test_the_own_signal_counts_only_while_nobody_else_publishes_one(
         assert taken == [300 * MS]
         other = guest.node.create_publisher(JointState, "excitation", 1)
         assert guest.spin_for(START_UP, lambda: guest.node.count_publishers(other.topic_name) > 0)
+        assert guest.spin_for(1.0, lambda: injected.get_publisher_count() > 0)
+        monkeypatch.setattr(guest.node, "count_publishers", None)  # no query of the graph at a tick
         tick(200 * MS)
         assert taken == [300 * MS]
+        guest.node.destroy_publisher(other)
+        assert guest.spin_for(START_UP, lambda: injected.get_publisher_count() == 0)
+        tick(250 * MS)
+        assert taken == [300 * MS, 400 * MS]
     finally:
         guest.close()
 

@@ -6,13 +6,13 @@ import time
 from collections.abc import Iterator
 
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.excitation_run import ExcitationRun, Injection
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import EXCITATION
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import NS_PER_S
@@ -37,8 +37,13 @@ def slowest_ticks(highest: float) -> float:
 class Excite:
     """Starts and ends runs of excitation, and publishes their signals."""
 
-    def __init__(self, node: Node, identifier: OnlineIdentifier) -> None:
-        self._node, self._identifier = node, identifier
+    def __init__(
+        self,
+        node: Node,
+        identifier: OnlineIdentifier,
+        injected: Subscription,  # Of the topic `excitation`, by which others publish a signal
+    ) -> None:
+        self._identifier, self._injected = identifier, injected
         self._log = node.get_logger()
         self._clock = node.get_clock()
         self._publisher = node.create_publisher(JointState, "~/excitation", RELIABLE)
@@ -119,8 +124,9 @@ class Excite:
 
     def _publish(self, injection: Injection) -> None:
         values = injection.values.tolist()
-        # with a publisher of the injected signal the identifier hears of it from there
-        if not self._node.count_publishers(self._node.resolve_topic_name(EXCITATION)):
+        # With a publisher of the injected signal the identifier hears of it from there. The
+        # subscription knows its publishers, without a query of the graph.
+        if not self._injected.get_publisher_count():
             self._identifier.add_excitation(injection.t_ns, values, own=True)
         header = Header(stamp=to_stamp(injection.t_ns))
         self._publisher.publish(JointState(header=header, name=list(INPUTS), position=values))

@@ -68,7 +68,8 @@ class IdentifierNode(Node):
         self._outputs = Outputs(self, self.identifier.structure)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._logged, self._warnings = "", list[str]()  # The last state and warnings
-        self._excite = Excite(self, self.identifier)
+        injected = self._inputs.all[EXCITATION].subscription
+        self._excite = Excite(self, self.identifier, injected)
         self._estimate: Estimate | None = None
         period = 1.0 / (LOOKS_PER_TICK * settings.update_rate)
         self._meter = diagnostics.TickMeter(period)

@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import RATES
@@ -30,6 +31,8 @@ _OVERRIDABLE = tuple(QoSPolicyKind[name.upper()] for name in QOS_POLICIES)
 
 class Input:
     """One input: its topic, its publishers, and the use of its messages."""
+
+    subscription: Subscription
 
     def __init__(
         self, node: Node, stream: Stream, identifier: OnlineIdentifier, warnings: Throttle
@@ -99,7 +102,7 @@ class Inputs:
             if not stream.type_of(identifier.settings):
                 continue
             own = self.all[stream.name] = Input(node, stream, identifier, warnings)
-            node.create_subscription(
+            own.subscription = node.create_subscription(
                 own.kind,
                 stream.topic,
                 partial(self._put, own),
