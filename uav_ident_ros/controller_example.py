@@ -38,7 +38,7 @@ from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import header_ns, stamp_ns
 from uav_ident_ros.node.notices import without_numbers
-from uav_ident_ros.node.program import read_parameters, run, spin, usage
+from uav_ident_ros.node.program import read_parameters, run, spin
 
 FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 AXES = ("roll", "pitch", "yaw")
@@ -234,8 +234,7 @@ def measured(controller: RateController) -> list[KeyValue]:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status."""
-    text = usage("controller_example", __doc__ or "", PARAMETERS)
-    return run("controller_example", ControllerExample, spin, args, text)
+    return run("controller_example", ControllerExample, spin, args, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":

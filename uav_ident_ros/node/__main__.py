@@ -18,10 +18,9 @@ def main(args: list[str] | None = None) -> int:
     ending = Ending()  # before the imports, which take a second
     from uav_ident_ros.identification.settings import declarations
     from uav_ident_ros.node.identifier_node import IdentifierNode, work
-    from uav_ident_ros.node.program import run, usage
+    from uav_ident_ros.node.program import run
 
-    text = usage("identifier", __doc__ or "", declarations())
-    return run("identifier", IdentifierNode, work, args, text, ending)
+    return run("identifier", IdentifierNode, work, args, __doc__, declarations(), ending)
 
 
 if __name__ == "__main__":

@@ -95,13 +95,14 @@ def run(
     # Runs the node until the end is requested; returns the exit status
     work: Callable[[AnyNode, Ending], int],
     args: Sequence[str] | None,  # Command line, the program's name first; None for the process's
-    usage: str,  # Text of ``--help``
+    text: str | None,  # Description for ``--help``
+    settings: Iterable[Setting],  # The parameters, for the same
     ending: Ending | None = None,  # Handler of signals, if made before the imports
 ) -> int:
     """Run a node as a program; return its exit status: 2 after a wrong start."""
     argv, ending = sys.argv if args is None else args, ending or Ending()
     if {"-h", "--help"} & set(argv[1:]):
-        print(usage)
+        print(_usage(name, text or "", settings))
         return 0
     try:
         if stray := remove_ros_args(list(argv))[1:]:
@@ -175,7 +176,7 @@ parameters, with their defaults:
 {}"""
 
 
-def usage(name: str, text: str, settings: Iterable[Setting]) -> str:
+def _usage(name: str, text: str, settings: Iterable[Setting]) -> str:
     """Return the text of ``--help``: usage, description, every parameter."""
     entries = []
     for setting in settings:

@@ -39,7 +39,7 @@ from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FRAME_IDS, NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
-from uav_ident_ros.node.program import UsageError, read_parameters, run, usage
+from uav_ident_ros.node.program import UsageError, read_parameters, run
 from uav_ident_ros.ros import to_stamp
 from uav_ident_ros.simulation.faults import Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
@@ -110,9 +110,9 @@ RECORDED = (
 class PlantNode(Node):
     """The node: an aircraft, its messages, and its synchronisation with the other nodes."""
 
-    def __init__(self, ending: Ending) -> None:
+    def __init__(self) -> None:
         super().__init__("simulated_plant")
-        self._ending = ending
+        self._ending: Ending  # Recorder of signals, from `fly` on
         self._value = value = read_parameters(self, PARAMETERS)
         unchanged = ("rate", "gyro_noise", "accelerometer_noise", "airspeed_bias")
         sensors = Sensors(
@@ -207,8 +207,9 @@ class PlantNode(Node):
 
     # -- flying ----------------------------------------------------------------------------
 
-    def fly(self) -> None:
-        """Fly until `duration` is over."""
+    def fly(self, ending: Ending) -> None:
+        """Fly until `duration` is over or the end is requested."""
+        self._ending = ending
         if self._lock_step:
             self._wait_for_nodes()
         else:
@@ -385,22 +386,20 @@ def _vector(values: FloatArray) -> Vector3:
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; return the exit status, 2 for wrong parameters."""
-    text = usage("simulated_plant", __doc__ or "", PARAMETERS)
-    ending = Ending()
-    return run("simulated_plant", lambda: _make(ending), _fly, args, text, ending)
+    return run("simulated_plant", _make, _fly, args, __doc__, PARAMETERS)
 
 
-def _make(ending: Ending) -> PlantNode:
+def _make() -> PlantNode:
     try:
-        return PlantNode(ending)
+        return PlantNode()
     except SimulationError as error:
         raise UsageError(str(error)) from None
 
 
-def _fly(node: PlantNode, _: Ending) -> int:
+def _fly(node: PlantNode, ending: Ending) -> int:
     """Fly; return 1 if the aircraft is lost or a node that is waited for is missing."""
     try:
-        node.fly()
+        node.fly(ending)
     except SimulationError as error:
         node.get_logger().error(str(error))
         return 1

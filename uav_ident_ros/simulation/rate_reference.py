@@ -20,7 +20,7 @@ from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
-from uav_ident_ros.node.program import read_parameters, run, spin, usage
+from uav_ident_ros.node.program import read_parameters, run, spin
 
 ANGLE_GAIN = 1.0
 """Reference rate per rad of angle error, 1/s."""
@@ -147,8 +147,7 @@ class RateReference(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node; the return value is the exit status."""
-    text = usage("rate_reference", __doc__ or "", PARAMETERS)
-    return run("rate_reference", RateReference, spin, args, text)
+    return run("rate_reference", RateReference, spin, args, __doc__, PARAMETERS)
 
 
 if __name__ == "__main__":
