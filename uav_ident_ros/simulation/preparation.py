@@ -22,7 +22,7 @@ from uav_ident_ros.simulation.airframe import Airframe, airframe
 from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, LiveAircraft
-from uav_ident_ros.simulation.noise import Measurements, Sensors, fed, measure
+from uav_ident_ros.simulation.noise import Sensors, fed, measure
 from uav_ident_ros.simulation.recording import parameters, yaml_text
 
 CONFIG = shared("config/closed_loop")
@@ -63,27 +63,17 @@ def prepare(
     """Trim, excite and identify an aircraft."""
     frame = airframe(name, speed)
     segment = Segment("multisine", start=2.0, amplitudes=frame.excitation)
-    flight = AircraftFlight((segment,), time, aircraft=name, speed=speed).fly()
-    found = identify(measure(flight, SENSORS), frame.speed)
-    live = LiveAircraft(name, SENSORS, speed=speed)
-    return Prepared(name, frame, live.trim, live.aircraft.limits, widened(found))
-
-
-def identify(m: Measurements, speed: float) -> CoefficientSet:
-    """Identify a flight online; return the final coefficients, for the airspeed `speed`, m/s."""
-    settings = Settings.from_values(parameters(m) | {"airspeed.reference": speed})
+    m = measure(AircraftFlight((segment,), time, aircraft=name, speed=speed).fly(), SENSORS)
+    settings = Settings.from_values(parameters(m) | {"airspeed.reference": frame.speed})
     identifier = OnlineIdentifier(settings)
-    ticks = sum(1 for _ in fed(identifier, m.messages()))
-    if not ticks:
+    if not list(fed(identifier, m.messages())):
         raise SimulationError("the flight is too short to identify anything")
-    return identifier.coefficient_set()
-
-
-def widened(found: CoefficientSet) -> CoefficientSet:
-    """Return coefficients with sigmas for another flight, widened by `BETWEEN_FLIGHTS`."""
+    found = identifier.coefficient_set()
     sigma = np.hypot(found.sigma, BETWEEN_FLIGHTS * np.abs(found.values))
     sigma = np.where(found.sigma > 0.0, sigma, 0.0)
-    return CoefficientSet(found.structure, found.values, sigma, EPOCH_NS)
+    coefficients = CoefficientSet(found.structure, found.values, sigma, EPOCH_NS)
+    live = LiveAircraft(name, SENSORS, speed=speed)
+    return Prepared(name, frame, live.trim, live.aircraft.limits, coefficients)
 
 
 def write(prepared: Prepared, folder: Path) -> None:
