@@ -41,7 +41,7 @@ def _line(result: Result) -> str:
 def _flown(job: Job, until: float = np.inf) -> tuple[Flight, cases.Track, Result]:
     """Fly and identify a job: flight, seed, estimator, and structure if not the widest."""
     name, seed, estimator, structure = (*job, WIDEST)[:4]
-    case = cases.simulated(name, seed)
+    case = cases.load(name, seed)
     track = cases.identify(case, {"estimator": estimator, "structure": structure}, until=until)
     assert case.flight is not None
     what = {"flight": name, "seed": seed, "estimator": estimator, "structure": structure}
@@ -115,7 +115,7 @@ def gusts(seeds: int, workers: int) -> list[Result]:
     """Measure the free-run fit, on a held-out calm flight, of models from gusts of 1 rad/s^2."""
     jobs = [("exact_gusts_10", s, *m) for m in _methods() for s in range(1, seeds + 1)]
     results = bench.done(_final_of, jobs, workers, _line)
-    held_out = cases.simulated("exact_held_out")
+    held_out = cases.load("exact_held_out")
     for result, fit in zip(results, _free_run_fits(held_out, results), strict=True):
         result["fit"] = fit.tolist()
     for label, group in _groups(results, "estimator", "structure"):
@@ -337,7 +337,7 @@ def cost(seeds: int, workers: int) -> list[Result]:
     """Measure the processor time of an update of 10 gyro samples, sigma included, and of RLS."""
     results = []
     for seed in range(1, seeds + 1):
-        case = cases.simulated("exact_noise_003", seed)
+        case = cases.load("exact_noise_003", seed)
         timed = {}
         for estimator in ("gradient", LS, IV):
             timed[f"{estimator}, whole tick"], timed[estimator] = _update_times(case, estimator)

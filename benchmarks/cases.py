@@ -127,11 +127,6 @@ class Case:
         return list(sampler.blocks())
 
 
-def simulated(name: str, seed: int | None = None) -> Case:
-    """Return a flight of `flights.yaml`; the arguments are those of `flights.load`."""
-    return measured(flights.load(name, seed))
-
-
 def measured(m: Measurements) -> Case:
     """Return the case of a simulated flight's measurements."""
     return Case(parameters(m), m)
@@ -183,8 +178,8 @@ def recorded(name: str) -> Case:
 
 
 def load(name: str, seed: int | None = None) -> Case:
-    """Return a recorded or simulated flight."""
-    return recorded(name) if name in RECORDED_DELAY else simulated(name, seed)
+    """Return a recorded flight, or one of `flights.yaml`; arguments are those of `flights.load`."""
+    return recorded(name) if name in RECORDED_DELAY else measured(flights.load(name, seed))
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ def report(hour: int, times: list[float], error: FloatArray) -> None:
 def main() -> None:
     """Fly and print."""
     options = bench.parser(__doc__, hours=6.0).parse_args()
-    case = cases.simulated(FLIGHT)
+    case = cases.load(FLIGHT)
     assert case.flight is not None
     identifier = OnlineIdentifier(case.settings({"actuators.estimate_delay": True}))
     truth = cases.truth_in(identifier.structure, case.flight)

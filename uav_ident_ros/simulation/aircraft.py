@@ -22,6 +22,7 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.simulation.airframe import MODELS, airframe
+from uav_ident_ros.simulation.channels import PLAIN
 from uav_ident_ros.simulation.flight import SimulationError
 
 FOOT = 0.3048
@@ -81,7 +82,7 @@ SIGNALS = {
     "pitch": "attitude/theta-rad",
     "yaw": "attitude/psi-rad",
     "altitude": "position/h-sl-ft",
-    **dict(zip(("elevator", "rudder", "aileron", "throttle"), SURFACES, strict=True)),
+    **dict(zip(PLAIN.names, SURFACES, strict=True)),
 }
 """Properties read after every step, by the name of the signal."""
 

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from uav_ident_ros.simulation.aircraft import FOOT
-from uav_ident_ros.simulation.channels import QUADROTOR
+from uav_ident_ros.simulation.channels import PLAIN, QUADROTOR
 from uav_ident_ros.simulation.flight import SimulationError
 
-SURFACE_NAMES = ("elevator", "rudder", "aileron", "throttle")
+SURFACE_NAMES = PLAIN.names
 """Names of the channels, in the order of de, dr, da, dth."""
 
 FORMS = (
