@@ -81,23 +81,22 @@ class LightFlight(Plan):
             return np.add(_autopilot(self, live.state, t), excitation)
 
         rows, commands, common = live.record(self, commanded)
-        speed = np.linalg.norm(rows[:, 3:6], axis=1)
+        u, v, w, roll, pitch, altitude = rows[:, 9:15].T
+        speed = np.linalg.norm(rows[:, 9:12], axis=1)
         return Flight(
             name=name,
-            rates=rows[:, 0:3],
-            angular_acceleration=rows[:, 9:12],
-            specific_force=rows[:, 12:15],
+            specific_force=rows[:, 6:9],
             inputs=commands,
             trim=np.array(DEFAULT_TRIM),
             changes=self.changes,
             local_truth=dict(self.derivatives),
             airspeed=speed,
             extra={
-                "alpha": np.arctan2(rows[:, 5], rows[:, 3]),
-                "beta": np.arcsin(rows[:, 4] / speed),
-                "roll": rows[:, 6],
-                "pitch": rows[:, 7],
-                "altitude": rows[:, 8],
+                "alpha": np.arctan2(w, u),
+                "beta": np.arcsin(v / speed),
+                "roll": roll,
+                "pitch": pitch,
+                "altitude": altitude,
                 "surfaces": rows[:, 15:19],
             },
             **common,
@@ -113,7 +112,7 @@ def _left(
 
 
 class _LiveLight(Live):
-    """The aircraft, by the midpoint rule; a row has state, accelerations, forces and surfaces."""
+    """The aircraft, by the midpoint rule; a row goes on with force, state and surfaces."""
 
     def __init__(self, spec: LightFlight) -> None:
         super().__init__(Sensors(rate=spec.actuator_rate), spec.delay, spec.seed, spec.rate)
@@ -134,7 +133,7 @@ class _LiveLight(Live):
         u = (surface * _left(spec.changes, INPUTS, self.time)).tolist()
         moments = _left(spec.changes, ROWS, self.time)
         slope, acceleration, force = _slope(spec, self.state, u, gust, moments)
-        row = (*self.state, *acceleration, *force, *surface)
+        row = (*self.state[:3], *acceleration, *force, *self.state[3:], *surface)
         middle = tuple(x + 0.5 * h * dx for x, dx in zip(self.state, slope, strict=True))
         slope, _, _ = _slope(spec, middle, u, gust, moments)  # type: ignore[arg-type]
         self.state = tuple(x + h * dx for x, dx in zip(self.state, slope, strict=True))  # type: ignore[assignment]

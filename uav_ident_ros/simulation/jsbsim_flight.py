@@ -164,8 +164,6 @@ class AircraftFlight(Plan):
         airspeed = signals["airspeed"]
         return Flight(
             name=name or live.aircraft.airframe.name,
-            rates=rows[:, 0:3],
-            angular_acceleration=rows[:, 3:6],
             specific_force=rows[:, 6:9],
             inputs=commands - live.trim,
             trim=np.array(live.trim),

@@ -124,7 +124,8 @@ class Live:
     def _fly(self, acting: FloatArray, moved: bool) -> Any:
         """Simulate one step; return its row of a recorded flight.
 
-        `moved` is false if neither the acting outputs nor the faults have changed.
+        A row begins with the rates and their derivatives. `moved` is false if neither the acting
+        outputs nor the faults have changed.
         """
         raise NotImplementedError
 
@@ -205,15 +206,18 @@ class Live:
             row = self._advance_step()
             if step % every == 0:
                 rows.append(row)
+        table = np.array(rows)
         common = {
             "t_ns": stamps(np.arange(plan.samples) / plan.rate),
+            "rates": table[:, 0:3],
+            "angular_acceleration": table[:, 3:6],
             "actuator_t_ns": stamps(times),
             "injected": excitation,
             "delay": plan.delay,
             "time_constant": plan.time_constant,
             "excitation": excited_intervals(plan.segments, (plan.samples - 1) / plan.rate),
         }
-        return np.array(rows), np.array(commands), common
+        return table, np.array(commands), common
 
     @property
     def time(self) -> float:

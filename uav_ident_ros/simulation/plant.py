@@ -140,12 +140,9 @@ class PlantFlight(Plan):
         gust = np.asarray(self.moment) + self.gusts.sample(self.samples, 3, self.rate, gust_rng)
         force = self.force.sample(self.samples, 3, self.rate, force_rng) - [0.0, 0.0, GRAVITY]
         live = _LivePlant(self, self.substeps, gust)
-        rows, commands, common = live.record(self, live.commanded)
-        rates, acceleration = rows.transpose(1, 0, 2)
+        _, commands, common = live.record(self, live.commanded)
         return Flight(
             name=name or self.vehicle.name,
-            rates=rates,
-            angular_acceleration=acceleration,
             specific_force=force,
             inputs=commands,
             trim=np.asarray(self.trim, dtype=np.float64),
@@ -158,7 +155,7 @@ class PlantFlight(Plan):
 
 
 class _LivePlant(Live):
-    """The plant in flight; a recorded row has the rates and their derivatives."""
+    """The plant in flight."""
 
     def __init__(self, plan: PlantFlight, substeps: int, gust: FloatArray) -> None:
         rate = plan.rate * substeps
@@ -193,7 +190,7 @@ class _LivePlant(Live):
         self._angles = self._angles + x / self._plan.actuator_rate
         return np.asarray(np.clip(excitation + feedback, -LARGEST_COMMAND, LARGEST_COMMAND))
 
-    def _fly(self, acting: FloatArray, moved: bool) -> tuple[list[float], list[float]]:
+    def _fly(self, acting: FloatArray, moved: bool) -> list[float]:
         if self._changes and self._changes[0] <= self.time + 0.5 / self.rate:
             self._change()
         away = self._surfaces - acting if self._half else np.zeros(len(INPUTS))
@@ -201,7 +198,7 @@ class _LivePlant(Live):
         self._surfaces = surfaces[2]
         k = 2 * self._step
         drives = (surfaces @ self._by_input.T + self._gusts[k : k + 3]).tolist()
-        row = self._rates, self._derivative(self._rates, drives[0])
+        row = [*self._rates, *self._derivative(self._rates, drives[0])]
         step = (*drives, 1.0 / self.rate)
         (self._rates,) = integrate(self._derivative, self._rates, [step])
         if not all(abs(rate) < DIVERGED for rate in self._rates):  # NaN fails too

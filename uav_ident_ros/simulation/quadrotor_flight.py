@@ -97,8 +97,8 @@ class LiveQuadrotor(Live):
     blockage.
 
     Elevator, rudder and aileron stand for pitch, yaw and roll, and are mixed into the motors. The
-    quadrotor holds its height. Parameters are those of `LiveAircraft`. A recorded row has rates,
-    specific force, angular acceleration and angles.
+    quadrotor holds its height. Parameters are those of `LiveAircraft`. A recorded row goes on
+    with specific force and angles.
     """
 
     names = QUADROTOR.names
@@ -194,20 +194,20 @@ class LiveQuadrotor(Live):
             (yaw + (ix - iy) * p * q) / iz + gust[2],
         ]
 
-    def _fly(self, acting: FloatArray, moved: bool) -> tuple[list[float], ...]:
+    def _fly(self, acting: FloatArray, moved: bool) -> list[float]:
         """Simulate one step: motor speeds exactly, the motion to second order."""
         h, gust = 1.0 / self.rate, next(self._gusts, STILL)
         state, before = self.state, self.speeds
         decay = math.exp(-0.5 * h / self.body.time_constant)
         aims = [min(max(c, 0.0), 1.0) for c in acting.tolist()]
-        loads = self.loads(gust)
-        half = self._slopes(*loads)
+        force, acceleration = self.loads(gust)
+        half = self._slopes(force, acceleration)
         self.speeds = [a + (s - a) * decay for s, a in zip(before, aims, strict=True)]
         self.state = [x + 0.5 * h * d for x, d in zip(state, half, strict=True)]
         whole = self._slopes(*self.loads(gust))
         self.state = [x + h * d for x, d in zip(state, whole, strict=True)]
         self.speeds = [a + (s - a) * decay**2 for s, a in zip(before, aims, strict=True)]
-        return state[:3], *loads, state[3:6]
+        return [*state[:3], *acceleration, *force, *state[3:6]]
 
     def _slopes(self, force: list[float], acceleration: list[float]) -> list[float]:
         """Return the time derivative of the state."""
@@ -258,17 +258,14 @@ class QuadrotorFlight(Plan):
             return live.motors(excitation + live.hold())
 
         rows, commands, common = live.record(self, commanded)
-        rates, force, acceleration, angles = rows.transpose(1, 0, 2)
         return Flight(
             name=name,
-            rates=rates,
-            angular_acceleration=acceleration,
-            specific_force=force,
+            specific_force=rows[:, 6:9],
             inputs=QUADROTOR.inputs(commands, live.trim),
             trim=live.trim,
             channel_set=QUADROTOR,
             local_truth=live.body.derivatives(),
             parameters=PARAMETERS,
-            extra={"gust": gusts, "angles": angles},
+            extra={"gust": gusts, "angles": rows[:, 9:12]},
             **common,
         )
