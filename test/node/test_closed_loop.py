@@ -19,7 +19,6 @@ from std_msgs.msg import String
 
 from uav_ident_ros.client.subscription import TOPIC
 from uav_ident_ros.guest import Guest
-from uav_ident_ros.node.notices import without_numbers
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.ros import latched
 from uav_ident_ros.simulation import closed_loop
@@ -103,14 +102,6 @@ def test_a_slow_flight_is_not_given_up_while_it_goes_on(
     running.processes = {"simulated_plant": Plant(running.record_file, 15, flies=False)}  # type: ignore[dict-item]
     with pytest.raises(SimulationError, match=r"stood still for 0.5 s: it flies"):
         running.wait()
-
-
-def test_log_lines_that_differ_in_numbers_alone_are_equal() -> None:
-    first, second, other = (
-        f"flying on measured coefficients (pitch): {row} is measured to have {share:.2f} times"
-        for row, share in (("qdot", 0.55), ("qdot", 0.6), ("rdot", 0.6))
-    )
-    assert without_numbers(first) == without_numbers(second) != without_numbers(other)
 
 
 def test_flights_are_equal_on_any_machine_until_the_excitation_starts(

@@ -27,6 +27,7 @@ def test_repeated_notices_are_counted_and_throttled_by_kind() -> None:
 def test_notices_are_compared_without_numbers_and_ros_source_lines() -> None:
     assert without_numbers("paused: fit 12.5 %") == without_numbers("paused: fit 9 %")
     assert without_numbers("paused: fit 9 %") != without_numbers("paused")
+    assert without_numbers("qdot has 0.55 times") != without_numbers("rdot has 0.55 times")
     assert without_sources("it failed, at /project/src/a.c:12, at b.c:3") == "it failed"
 
 
