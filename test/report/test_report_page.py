@@ -144,7 +144,7 @@ def test_fits_are_those_of_the_summary(
     page: ET.Element, summary: dict[str, Any], caption: str, windows: str
 ) -> None:
     fit = summary["prediction_fit"][windows]
-    assert f"{fit['windows']} windows" in words(one(table(page, caption), "caption"))
+    assert f"{fit['windows']} windows of 1 s" in words(one(table(page, caption), "caption"))
     rows = {name: [*map(exact, cells)] for name, cells in rows_of(page, caption).items()}
     for ahead, free in fit["free"].items():
         assert rows[f"free prediction, {ahead}"] == list(free["model"].values())
