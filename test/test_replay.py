@@ -40,9 +40,11 @@ from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline import NOT_USABLE, main
 from uav_ident_ros.offline.inputs import choose_inputs
-from uav_ident_ros.offline.run import run_over
+from uav_ident_ros.offline.job import Job, reserved
+from uav_ident_ros.offline.parallel import work
+from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.tables import duration_of, write_table
-from uav_ident_ros.offline.ticks import write_estimates
+from uav_ident_ros.offline.ticks import Ticks, write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
 IMU_TYPE, NUMBER, FLAG = "sensor_msgs/msg/Imu", "std_msgs/msg/Float64", "std_msgs/msg/Bool"
@@ -407,7 +409,9 @@ BAD_INPUT = [
     ("", "initial_coefficients_file: none.yaml", "file 'none.yaml': there is no such file"),
     ("", "actuators.field: x", "'actuators.field' is 'x'"),
     ("--node /b --params-file other.yaml", "", "nothing for node '/b'"),
-    ("--output text.txt", "", "cannot write 'text.txt/summary.json'"),
+    ("--output text.txt", "", "cannot write into 'text.txt': Not a directory"),
+    ("--output text.txt/results", "", "cannot write into 'text.txt/results': Not a directory"),
+    ("--output kept", "", "'kept/estimates' exists and is no bag: it is left alone"),
     ("--nonsense", "", "unrecognized arguments: --nonsense"),
     ("--jobs 0", "", "'0' is not a number from 1 on"),
     ("--jobs many", "", "'many' is not a number from 1 on"),
@@ -435,6 +439,8 @@ def test_bad_input_is_refused_in_one_line_with_status_2(
     monkeypatch.chdir(tmp_path)
     Path("text.txt").write_text("hello")
     Path("other.yaml").write_text("/a:\n  ros__parameters:\n    update_rate: 20.0\n")
+    Path("kept/estimates/notes").mkdir(parents=True)
+    monkeypatch.setattr(OfflineRun, "score", None)  # every refusal comes before the work is done
     given = [str(short), *options.split()]
     if line:
         Path("params.yaml").write_text(f"/**:\n  ros__parameters:\n    {line}\n")
@@ -442,16 +448,32 @@ def test_bad_input_is_refused_in_one_line_with_status_2(
     printed = refusal(main, given, capsys)
     assert printed.startswith("replay: ")
     assert re.search(words, printed), printed
+    assert not Path("replay_bag").exists()
+
+
+def test_a_second_replay_into_a_folder_is_refused(
+    short: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = tmp_path / "out"
+    given = [str(short), "--output", str(output)]
+    words = f"another replay writes into '{output}': wait for its end, or choose another --output"
+    with reserved(output):
+        for arguments in (given, [str(short), *given], [*given, "--compare", "text.txt"]):
+            assert refusal(main, arguments, capsys) == f"replay: {words}"
+        assert work(Job(short, "bag", output)).warnings == (words,)
+        assert not os.listdir(output)
+    assert not output.exists()
+    assert main(given) == NOT_USABLE
 
 
 def test_only_a_pure_bag_folder_is_replaced(tmp_path: Path) -> None:
-    structure = STRUCTURES["baseline"]
+    ticks = Ticks(STRUCTURES["baseline"])
     path = tmp_path / "estimates"
-    write_estimates(path, [], structure, "/identifier", "")
-    write_estimates(path, [], structure, "/identifier", "")
+    write_estimates(path, ticks, "")
+    write_estimates(path, ticks, "")
     (path / "notes.txt").write_text("mine")
     with pytest.raises(Exception, match="is no bag: it is left alone"):
-        write_estimates(path, [], structure, "/identifier", "")
+        write_estimates(path, ticks, "")
     assert (path / "notes.txt").read_text() == "mine"
     assert os.listdir(tmp_path) == ["estimates"]
 

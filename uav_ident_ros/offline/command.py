@@ -15,7 +15,7 @@ from uav_ident_ros.commandline import INTERRUPTED, end_as_on_ctrl_c, reader_has_
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.fleet import arrow, rows_of, write_flights
-from uav_ident_ros.offline.job import VERDICTS, Job, Outcome, replay
+from uav_ident_ros.offline.job import VERDICTS, Job, Outcome, replay, reserved
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.tables import (
     AXES,
@@ -95,9 +95,12 @@ def run(command_line: argparse.ArgumentParser, options: argparse.Namespace) -> i
         several = len(options.bags) > 1 or is_collection(options.bags[0])
         if options.compare and several:
             command_line.error("--compare takes one bag")
-        if options.compare:
-            return _compare(options)
-        return _many(options) if several else _one(options)
+        name = options.bags[0].resolve().stem
+        folder = options.output or Path("" if several else f"replay_{name}")
+        with reserved(folder):
+            if options.compare:
+                return _compare(options, name, folder)
+            return _many(options, folder) if several else _one(options, name, folder)
     except (BagError, BagWriteError) as error:
         _warn(str(error))
     except KeyboardInterrupt:
@@ -124,10 +127,8 @@ def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path, *files
     )
 
 
-def _one(options: argparse.Namespace) -> int:
+def _one(options: argparse.Namespace, name: str, folder: Path) -> int:
     (bag,) = options.bags
-    name = bag.resolve().stem
-    folder = options.output or Path(f"replay_{name}")
     outcome = replay(_job(options, bag, name, folder), shown=True)
     _warn(*outcome.warnings)
     if outcome.summary:
@@ -143,16 +144,15 @@ def _all(jobs: Sequence[Job], options: argparse.Namespace) -> list[Outcome]:
     return outcomes
 
 
-def _many(options: argparse.Namespace) -> int:
+def _many(options: argparse.Namespace, folder: Path) -> int:
     arrow()  # fails before the replays, which may take hours
-    bags = _bags_of(options.bags)
-    where, folder = options.output or Path(), "{}" if options.output else "replay_{}"
+    bags, own = _bags_of(options.bags), "{}" if options.output else "replay_{}"
     named = zip(bags, names_of(bags), strict=True)
-    jobs = [_job(options, bag, name, where / folder.format(name)) for bag, name in named]
+    jobs = [_job(options, bag, name, folder / own.format(name)) for bag, name in named]
     outcomes = _all(jobs, options)
     rows = [row for outcome in outcomes for row in rows_of(outcome)]
-    tables = ", ".join(map(str, write_flights(where, rows)))
-    written = options.output or folder.format("NAME")
+    tables = ", ".join(map(str, write_flights(folder, rows)))
+    written = options.output or own.format("NAME")
     _print(f"{overview(outcomes)}\n\nwritten to {written}{os.sep}; table: {tables}")
     return max(outcome.status for outcome in outcomes)
 
@@ -168,10 +168,8 @@ def _bags_of(paths: Sequence[Path]) -> list[Path]:
     return [bag for path, bags in zip(paths, found, strict=True) for bag in bags or [path]]
 
 
-def _compare(options: argparse.Namespace) -> int:
+def _compare(options: argparse.Namespace, name: str, folder: Path) -> int:
     (bag,) = options.bags
-    name = bag.resolve().stem
-    folder = options.output or Path(f"replay_{name}")
     named = zip(options.compare, names_of(options.compare), strict=True)
     jobs = [_job(options, bag, label, folder / label, file) for file, label in named]
     outcomes = _all(jobs, options)

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from tqdm import tqdm
@@ -25,11 +29,12 @@ from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, measure
+from uav_ident_ros.offline.find import RESULT_BAG, RESULT_FILE
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.summary import Replayed, notes_on
 from uav_ident_ros.offline.tables import AXES, write_table
-from uav_ident_ros.offline.ticks import write_estimates
+from uav_ident_ros.offline.ticks import check_place, write_estimates
 
 LINE_EVERY = 30.0
 """Interval of lines without a terminal, s."""
@@ -56,6 +61,44 @@ def optional(module: str) -> Any:
         ) from None
     except ImportError as error:  # as of a matplotlib that was built for another NumPy
         raise BagError(f"'{module}' cannot be imported: {error}") from None
+
+
+@contextmanager
+def reserved(folder: Path) -> Iterator[None]:
+    """Make a folder of results, and reserve it for the replays of the block.
+
+    The reservation ends with the process, however that ends. A folder that is left empty is
+    removed.
+
+    Raises
+    ------
+    BagWriteError
+        If the folder cannot be written, or if another replay writes into it.
+    """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        with suppress(FileExistsError):
+            folder.mkdir(parents=True)
+        held = os.open(folder, os.O_DIRECTORY)
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise BagWriteError(f"cannot write into '{folder}': {error.strerror}") from None
+    try:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BagWriteError(
+                f"another replay writes into '{folder}': wait for its end, or choose another "
+                "--output"
+            ) from None
+        except OSError:  # a network drive without locks
+            pass
+        yield
+    finally:
+        for path in missing:
+            with suppress(OSError):
+                path.rmdir()
+        os.close(held)
 
 
 # --- the job --------------------------------------------------------------------------------------
@@ -142,16 +185,18 @@ def replay(
     """
     warnings: list[str] = []
     try:
+        # before the run, which may take minutes
+        check_place(job.folder / RESULT_BAG)
+        draw = optional("uav_ident_ros.report.picture").write_picture if job.plot else None
+        report = optional("uav_ident_ros.report.page").write_report if job.report else None
         run, notes = _run(job, shown, warnings)
         fits = run.score()
         replayed = Replayed(job.name, job.bag, run, fits, measure(run, fits), notes)
         write_results(job.folder, replayed)
-        if job.plot:
-            optional("uav_ident_ros.report.picture").write_picture(
-                job.folder / "replay.png", replayed
-            )
-        if job.report:
-            optional("uav_ident_ros.report.page").write_report(job.folder / "report.html", replayed)
+        if draw:
+            draw(job.folder / "replay.png", replayed)
+        if report:
+            report(job.folder / "report.html", replayed)
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
     status = NOT_USABLE if replayed.doubt else USABLE
@@ -161,10 +206,9 @@ def replay(
 def write_results(folder: Path, replayed: Replayed) -> None:
     """Write summary, table, bag of estimates and coefficients; raises some of `REFUSALS`."""
     run, summary = replayed.run, json.dumps(replayed.summary, indent=2, allow_nan=False)
-    write_file(folder / "summary.json", f"{summary}\n")
+    write_file(folder / RESULT_FILE, f"{summary}\n")
     write_file(folder / "table.txt", f"{write_table(replayed.summary)}\n")
-    frame_id = run.frame_id or ""
-    write_estimates(folder / "estimates", run.estimates, run.structure, NODE_NAME, frame_id)
+    write_estimates(folder / RESULT_BAG, run.estimates, run.frame_id or "")
     save_coefficients(run.result(), folder / "coefficients.yaml")
 
 

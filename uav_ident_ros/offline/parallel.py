@@ -23,8 +23,8 @@ import uav_ident_ros
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.offline import NO_RESULT
-from uav_ident_ros.offline.find import bag_files, name_size_hash
-from uav_ident_ros.offline.job import REFUSALS, Bar, Job, Outcome, optional, replay
+from uav_ident_ros.offline.find import RESULT_FILE, bag_files, name_size_hash
+from uav_ident_ros.offline.job import REFUSALS, Bar, Job, Outcome, optional, replay, reserved
 
 DONE_FILE = "replayed.json"
 
@@ -122,13 +122,14 @@ def work(job: Job) -> Outcome:
             identity = identity_of(job)
         except REFUSALS:
             return replay(job)  # its outcome has the problem
-        outcome = None if job.again else _earlier_outcome(job, identity)
-        if outcome is None:
-            write_file(done, "")  # invalid until the new results are written
-            outcome = replace(replay(job), identity=identity)
-            keys = ("identity", "status", "warnings")
-            write_file(done, json.dumps({key: getattr(outcome, key) for key in keys}) + "\n")
-        return outcome
+        with reserved(job.folder):
+            outcome = None if job.again else _earlier_outcome(job, identity)
+            if outcome is None:
+                write_file(done, "")  # invalid until the new results are written
+                outcome = replace(replay(job), identity=identity)
+                keys = ("identity", "status", "warnings")
+                write_file(done, json.dumps({key: getattr(outcome, key) for key in keys}) + "\n")
+            return outcome
     except REFUSALS as error:
         return Outcome(job, NO_RESULT, (str(error),))
     except Exception:
@@ -146,7 +147,7 @@ def _earlier_outcome(job: Job, identity: str) -> Outcome | None:
             return None
         status, warnings, summary = entry["status"], tuple(entry["warnings"]), {}
         if status != NO_RESULT:
-            summary = json.loads((job.folder / "summary.json").read_text(encoding="utf-8"))
+            summary = json.loads((job.folder / RESULT_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return Outcome(job, status, warnings, summary=summary, identity=identity, kept=True)

@@ -10,6 +10,7 @@ from typing import overload
 
 import numpy as np
 
+from uav_ident_ros.bags.reading import METADATA_FILE
 from uav_ident_ros.bags.writing import (
     ARRAY,
     JOINT_STATE,
@@ -26,6 +27,7 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.messages.published import coefficients_layout, dense_coefficients, named_entries
+from uav_ident_ros.offline import NODE_NAME
 
 
 class Ticks(Sequence[Estimate]):
@@ -84,14 +86,11 @@ class Ticks(Sequence[Estimate]):
 
 def write_estimates(
     path: Path,  # Folder of the bag
-    estimates: Iterable[Estimate],  # In the order of their ticks
-    structure: Structure,  # Their structure
-    node: str,  # Full name of the node whose topics these are
+    estimates: Ticks,
     frame_id: str,  # Frame of the predicted rates: that of the Imu
 ) -> None:
-    """Write a bag of estimates; replaces nothing but a bag; raises `BagWriteError`."""
-    if path.exists() and not _is_bag(path):
-        raise BagWriteError(f"'{path}' exists and is no bag: it is left alone")
+    """Write a bag of estimates as of the node; as `check_place`, raises `BagWriteError`."""
+    check_place(path)
     latched, reliable = qos(1, transient_local=True), qos(10)
     topics = {
         "coefficients_named": (JOINT_STATE, latched),
@@ -99,10 +98,11 @@ def write_estimates(
         "predicted_rates": (VECTOR, reliable),
         "prediction_error": (VECTOR, reliable),
     }
+    structure = estimates.structure
     layout = coefficients_layout(structure)
     with whole(path, replace=True) as working, BagWriter(working) as bag:
         for topic, (msgtype, profile) in topics.items():
-            bag.topic(f"{node}/{topic}", msgtype, profile)
+            bag.topic(f"{NODE_NAME}/{topic}", msgtype, profile)
         for e in estimates:
             rates, errors = e.predicted_rates.tolist(), e.prediction_error.tolist()
             messages = (
@@ -112,12 +112,14 @@ def write_estimates(
                 vector_stamped(e.t_ns, errors, frame_id),
             )
             for topic, message in zip(topics, messages, strict=True):
-                bag.write(f"{node}/{topic}", e.t_ns, message)
+                bag.write(f"{NODE_NAME}/{topic}", e.t_ns, message)
 
 
-def _is_bag(path: Path) -> bool:
-    """Whether a folder holds a bag and nothing else."""
-    if not path.is_dir():
-        return False
-    files = [file for file in path.iterdir() if file.name != "metadata.yaml"]
-    return all(file.suffix == ".mcap" and file.is_file() for file in files)
+def check_place(path: Path) -> None:
+    """Raise `BagWriteError` if a path exists and is no bag: nothing else may be replaced."""
+    if path.is_dir():
+        files = [file for file in path.iterdir() if file.name != METADATA_FILE]
+        if all(file.suffix == ".mcap" and file.is_file() for file in files):
+            return
+    if path.exists():
+        raise BagWriteError(f"'{path}' exists and is no bag: it is left alone")
