@@ -65,7 +65,7 @@ def rows(minutes: float, folder: Path) -> str:
     if simulate([*arguments, "--imu-rate", "200", "--actuator-rate", "50"]):
         raise SystemExit("simulate failed")
     raw_time, raw_memory = cost([sys.executable, "-c", RAW, str(bag)])
-    replay = [sys.executable, "-m", "uav_ident_ros.offline", str(bag), "--output", str(output)]
+    replay = [sys.executable, "-m", "uav_ident_ros", "replay", str(bag), "--output", str(output)]
     own = ["--params-file", str(bag / "identifier.yaml"), "--report"]
     seconds, memory = cost([*replay, *own])
     page = output / "report.html"

@@ -145,7 +145,7 @@ def test_every_command_exists_with_its_options(page: Path) -> None:
         if words[0].startswith(".venv/bin/"):
             name = words[0].removeprefix(".venv/bin/")
             assert name in executables, f"{page_id(page)}: there is no executable '{name}'"
-            check_options(page, name, executables[name].partition(":")[0], words[1:])
+            check_options(page, name, executables[name], words[1:])
         elif words[0].startswith("scripts/"):
             script = ROOT / words[0]
             assert os.access(script, os.X_OK), f"{page_id(page)}: '{words[0]}' cannot be run"
@@ -156,20 +156,22 @@ def test_every_command_exists_with_its_options(page: Path) -> None:
             assert {word.split(":=")[0] for word in words[4:]} <= {m.args[0] for m in declared}
 
 
-def check_options(page: Path, name: str, module: str, words: list[str]) -> None:
+def check_options(page: Path, name: str, entry: str, words: list[str]) -> None:
     """Compare the options of a command with its help."""
     if name == "identifier":
         assert words[0] == "--ros-args"
         return
-    known = help_of(module)
+    known = help_of(entry)
     for word in words:
         if word.startswith("--"):
             assert re.search(rf"(?<!\S){word}(?![\w-])", known), f"{page_id(page)}: {name} {word}"
 
 
 @cache
-def help_of(module: str) -> str:
-    return re.sub(r"[\[\],]", " ", python("-m", module, "--help", check=True).stdout)
+def help_of(entry: str) -> str:
+    module, _, function = entry.partition(":")
+    code = f"import sys; from {module} import {function}; sys.exit({function}())"
+    return re.sub(r"[\[\],]", " ", python("-c", code, "--help", check=True).stdout)
 
 
 def test_the_readme_lists_the_installed_executables() -> None:

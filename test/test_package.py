@@ -21,7 +21,7 @@ import yaml
 from programs import python
 from repository import ROOT, console_scripts, setup_arguments
 
-from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR
+from uav_ident_ros.commandline import COMMANDS, INTERRUPTED, USAGE_ERROR, run
 from uav_ident_ros.node.memory import FINISH_WITHIN
 from uav_ident_ros.process import own_domain
 
@@ -175,23 +175,39 @@ def test_entry_points_are_callable_and_shadow_nothing():
 
 
 @pytest.mark.parametrize(
-    ("module", "called", "arguments"),
+    ("name", "called", "arguments"),
     [
-        ("simulation.cli", "flight_from", ["--output", "flight"]),
-        ("import_logs.cli", "read_log", ["flight.ulg"]),
-        ("offline.fleet_command", "fleet_of", ["flights.csv"]),
+        ("simulate", "simulation.cli.flight_from", ["--output", "flight"]),
+        ("import_log", "import_logs.cli.read_log", ["flight.ulg"]),
+        ("fleet", "offline.fleet_command.fleet_of", ["flights.csv"]),
+        ("replay", "offline.command.is_collection", ["flight"]),
     ],
 )
 def test_ctrl_c_ends_a_command_without_a_traceback(
-    module: str, called: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, called: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
-    command = importlib.import_module(f"{PACKAGE}.{module}")
-    monkeypatch.setattr(command, called, interrupt)
-    assert command.main(arguments) == INTERRUPTED
+    monkeypatch.setattr(f"{PACKAGE}.{called}", interrupt)
+    assert run(name, arguments) == INTERRUPTED
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_ctrl_c_during_the_imports_leaves_no_traceback(name: str) -> None:
+    """They take a second: those of the command, and those of NumPy that all have."""
+    assert console_scripts()[name] == f"{PACKAGE}.commandline:{name}"
+    code = (
+        "import sys\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'numpy': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        f"from {PACKAGE}.commandline import {name}; sys.exit({name}(['x']))"
+    )
+    done = python("-c", code)
+    assert (done.returncode, done.stderr) == (INTERRUPTED, "")
 
 
 def test_pip_requirements_exclude_ros():

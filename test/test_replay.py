@@ -528,7 +528,7 @@ def test_the_error_names_the_missing_package(package: str) -> None:
     """This is the case of an installation from apt alone."""
     code = (
         f"import sys; sys.modules['{package}'] = None\n"
-        "from uav_ident_ros.offline import main; sys.exit(main(['bag', 'bag']))"
+        "from uav_ident_ros.commandline import replay; sys.exit(replay(['bag', 'bag']))"
     )
     run = python("-c", code)
     assert run.returncode == 2

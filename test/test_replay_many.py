@@ -81,7 +81,7 @@ def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     """Return the output folder of a replay of all, and the finished process."""
     output = tmp_path_factory.mktemp("output")
     command = arguments(logs, output, "--jobs", "2")
-    return output, python("-m", "uav_ident_ros.offline", *command)
+    return output, python("-m", "uav_ident_ros", "replay", *command)
 
 
 def arguments(logs: Path, output: Path, *more: str) -> list[str]:
@@ -150,7 +150,7 @@ def test_a_killed_process_affects_its_own_bag_alone(logs: Path, tmp_path: Path) 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupt_ends_every_process(number: signal.Signals, tmp_path: Path) -> None:
     bags = [str(BAGS / "multisine")] * 3
-    command = [sys.executable, "-m", "uav_ident_ros.offline", *bags, "--jobs", "2"]
+    command = [sys.executable, "-m", "uav_ident_ros", "replay", *bags, "--jobs", "2"]
     process = subprocess.Popen(
         [*command, "--output", str(tmp_path / "out")],
         cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -269,7 +269,7 @@ def test_a_cluster_gives_the_same_table(
     ) as cluster:
         command = arguments(logs, tmp_path, "--scheduler", cluster.scheduler_address)
         process = subprocess.Popen(
-            [sys.executable, "-m", "uav_ident_ros.offline", *command], cwd=ROOT
+            [sys.executable, "-m", "uav_ident_ros", "replay", *command], cwd=ROOT
         )
         with distributed.Client(cluster) as client:
             busy: dict[str, tuple[str, ...]] = {}
@@ -375,7 +375,7 @@ def test_an_internal_error_is_the_status_of_no_result(
 
 def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) -> None:
     bag = logs / "tuesday" / "flight"
-    command = [sys.executable, "-m", "uav_ident_ros.offline", str(bag), "--output", str(tmp_path)]
+    command = [sys.executable, "-m", "uav_ident_ros", "replay", str(bag), "--output", str(tmp_path)]
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, cwd=ROOT, check=False)
@@ -389,7 +389,7 @@ def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) ->
 
 def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
     """Run `replay` with a terminal as its error stream; return status and output."""
-    command = [sys.executable, "-m", "uav_ident_ros.offline", *arguments]
+    command = [sys.executable, "-m", "uav_ident_ros", "replay", *arguments]
     nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
     with closing(Terminal(command, 100, **nowhere)) as terminal:
         terminal.read_until("to the end of what is shown", math.inf)

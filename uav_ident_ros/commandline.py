@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common parts of the commands: error messages of one line, and the end by a signal."""
+"""The commands, and their common parts: error messages of one line, and the end by a signal."""
 
 import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
+from importlib import import_module
 from typing import NoReturn, TypeVar
 
 USAGE_ERROR = 2
@@ -14,6 +16,53 @@ USAGE_ERROR = 2
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as in shells."""
+
+
+COMMANDS = {
+    "demo": "demo",
+    "fleet": "offline.fleet_command",
+    "import_log": "import_logs.cli",
+    "monitor": "monitor.cli",
+    "replay": "offline",
+    "simulate": "simulation.cli",
+}
+"""Module of each command. Its `main` takes the arguments and returns the exit status."""
+
+_BOTH = (
+    "apt does not have it: run scripts/setup, or in a virtual environment with "
+    "--system-site-packages: pip install rosbags mcap"
+)
+CURES = {
+    "mcap": _BOTH,
+    "rich": "install python3-rich from apt, or the extra 'monitor' from pip",
+    "rosbags": _BOTH,
+}
+"""Ways to install a package, if not by pip alone."""
+
+
+def run(name: str, arguments: Sequence[str] | None = None) -> int:
+    """Run a command of `COMMANDS` and return its exit status.
+
+    Ctrl-C during the imports, too, ends it without a traceback.
+    """
+    try:
+        return int(import_module(f"uav_ident_ros.{COMMANDS[name]}").main(arguments))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except ModuleNotFoundError as error:
+        print(f"{name}: {missing(error)}", file=sys.stderr)
+        return USAGE_ERROR
+
+
+# the programs of setup.py
+demo, fleet, import_log, monitor, replay, simulate = (partial(run, name) for name in COMMANDS)
+
+
+def missing(error: ModuleNotFoundError) -> str:
+    """Return the package that an import lacks, with the way to install it."""
+    package = str(error.name).partition(".")[0]
+    cure = CURES.get(package, f"pip install {package}")
+    return f"the Python package '{package}' is missing: {cure}"
 
 
 class OneLineParser(argparse.ArgumentParser):

@@ -15,13 +15,7 @@ import time
 from pathlib import Path
 
 from uav_ident_ros.bags.reading import Bag, Message
-from uav_ident_ros.commandline import (
-    INTERRUPTED,
-    USAGE_ERROR,
-    OneLineParser,
-    end_as_on_ctrl_c,
-    number,
-)
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c, number
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ACTUATORS, import_type
@@ -173,9 +167,3 @@ def main(arguments: list[str] | None = None) -> int:
     except (PlayerError, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return FAILED
-    except KeyboardInterrupt:
-        return INTERRUPTED
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -23,7 +23,7 @@ def test_the_demo_prints_the_monitor_view_and_the_results_of_a_replay(tmp_path: 
     bag = excerpt(tmp_path / "short", 10.0)
     shutil.copy(PARAMETERS, bag)
     options = ("--speed", "4", "--output", str(tmp_path))
-    run = python("-m", "uav_ident_ros.demo", str(bag), *options, timeout=300.0)
+    run = python("-m", "uav_ident_ros", "demo", str(bag), *options, timeout=300.0)
     assert run.returncode == 0, run.stderr
     fits = re.findall(
         r"^free prediction, 1 s(.*)\nholding the rates for 1 s(.*)$", run.stdout, re.MULTILINE
@@ -39,7 +39,7 @@ def test_the_demo_prints_the_monitor_view_and_the_results_of_a_replay(tmp_path: 
 
 def test_ctrl_c_ends_the_demo_and_its_node_during_playback(tmp_path: Path) -> None:
     options = ["--speed", "1", "--output", str(tmp_path)]
-    command = [sys.executable, "-m", "uav_ident_ros.demo", *options]
+    command = [sys.executable, "-m", "uav_ident_ros", "demo", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as demo:
         assert demo.stdout is not None
         assert any("/identifier" in line for line in demo.stdout)  # the view of the node

@@ -18,11 +18,11 @@ from repository import ROOT
 from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.monitor.cli import parser
 
-MONITOR = [sys.executable, "-m", "uav_ident_ros.monitor.cli"]
+MONITOR = [sys.executable, "-m", "uav_ident_ros", "monitor"]
 
 WITHOUT_RICH = (
-    "import importlib.util, sys; importlib.util.find_spec = lambda name: None\n"
-    "from uav_ident_ros.monitor.cli import main; sys.exit(main())"
+    "import sys; sys.modules['rich'] = None\n"
+    "from uav_ident_ros.commandline import monitor; sys.exit(monitor())"
 )
 
 SILENT = re.compile(
@@ -203,7 +203,7 @@ def test_without_rich_the_error_names_its_package() -> None:
     done = python("-c", WITHOUT_RICH)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    assert "'rich' is not installed: python3-rich from apt" in done.stderr
+    assert "'rich' is missing: install python3-rich from apt" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR, OneLineParser
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
 from uav_ident_ros.import_logs import blackbox, dataflash, px4_log
 from uav_ident_ros.import_logs.ardupilot import read_ardupilot
 from uav_ident_ros.import_logs.csv_table import EXAMPLE, load_column_map, read_csv
@@ -116,8 +116,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ImportLogError, BagWriteError) as error:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
-    except KeyboardInterrupt:
-        return INTERRUPTED
     print(f"{log.path.name}: {log.title}")
     for title, sentences in summary(log, values).items():
         print(f"\n{title}")

@@ -2,7 +2,6 @@
 """The command `monitor`: watch a running identifier from a terminal, over ssh too."""
 
 import argparse
-import importlib.util
 import math
 import sys
 from contextlib import closing
@@ -44,12 +43,6 @@ TIMEOUT = 5.0
 
 LOOK_AGAIN = 1.0
 """Interval of the search for an identifier, s."""
-
-
-NO_RICH = (
-    "monitor: the package 'rich' is not installed: python3-rich from apt, or the extra 'monitor' "
-    "from pip"
-)
 
 
 class MonitorError(Exception):
@@ -165,9 +158,6 @@ def watch(guest: Guest, node: str | None, plain: bool) -> NoReturn:
 def main(arguments: list[str] | None = None) -> int:
     """Run the monitor; the return value is the exit status."""
     options = parser().parse_args(arguments)
-    if importlib.util.find_spec("rich") is None:
-        print(NO_RICH, file=sys.stderr)
-        return USAGE_ERROR
     ending = Ending()  # before anything that needs cleaning up
     guest = Guest("uav_ident_monitor", ending)
     try:
@@ -185,7 +175,3 @@ def main(arguments: list[str] | None = None) -> int:
     finally:
         guest.close()
         ending.close()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

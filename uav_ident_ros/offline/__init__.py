@@ -39,18 +39,9 @@ examples:
 def main(args: list[str] | None = None) -> int:
     """Run the command; the return value is the exit status, see `replay --help`."""
     command_line = parser()
-    options = command_line.parse_args(args)  # help needs none of the imports below
-    try:
-        from uav_ident_ros.offline.command import run
-    except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        print(
-            f"replay: the Python package '{package}' is missing, which apt does not have: run "
-            "scripts/setup, or in a virtual environment with --system-site-packages: "
-            "pip install rosbags mcap",
-            file=sys.stderr,
-        )
-        return NO_RESULT
+    options = command_line.parse_args(args)
+    from uav_ident_ros.offline.command import run  # help needs none of its imports
+
     return run(command_line, options)
 
 

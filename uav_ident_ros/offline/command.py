@@ -11,7 +11,7 @@ from pathlib import Path
 
 from uav_ident_ros.bags.reading import STORAGE_SUFFIXES, BagError
 from uav_ident_ros.bags.writing import BagWriteError
-from uav_ident_ros.commandline import INTERRUPTED, end_as_on_ctrl_c, reader_has_gone
+from uav_ident_ros.commandline import end_as_on_ctrl_c, reader_has_gone
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.fleet import arrow, rows_of, write_flights
@@ -103,8 +103,6 @@ def run(command_line: argparse.ArgumentParser, options: argparse.Namespace) -> i
             return _many(options, folder) if several else _one(options, name, folder)
     except (BagError, BagWriteError) as error:
         _warn(str(error))
-    except KeyboardInterrupt:
-        return INTERRUPTED
     except Exception:
         # Python's own status for it, 1, would mean a result.
         traceback.print_exc()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
-from uav_ident_ros.commandline import INTERRUPTED, OneLineParser
+from uav_ident_ros.commandline import OneLineParser
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_coefficients
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.fleet import Aircraft, fleet_of, read_flights
@@ -63,8 +63,6 @@ def main(args: list[str] | None = None) -> int:
     except (BagError, BagWriteError, CoefficientsFileError) as error:
         print(f"fleet: {error}", file=sys.stderr)
         return NO_RESULT
-    except KeyboardInterrupt:
-        return INTERRUPTED
     print("\n".join(line for aircraft in fleet for line in describe(aircraft)))
     print(f"written: {', '.join(map(str, files))}")
     return int(any(aircraft.findings for aircraft in fleet))
@@ -95,7 +93,3 @@ def describe(aircraft: Aircraft) -> Iterator[str]:
     for flight, why in aircraft.unusable:
         yield f"{flight}: {why}"
     yield ""
-
-
-if __name__ == "__main__":
-    sys.exit(main())

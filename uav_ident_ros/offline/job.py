@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.bags.writing import BagWriteError, write_file
+from uav_ident_ros.commandline import missing
 from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
     initial_coefficients,
@@ -55,10 +56,7 @@ def optional(module: str) -> Any:
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
-        missing = (error.name or module).partition(".")[0]
-        raise BagError(
-            f"the Python package '{missing}' is missing: pip install {missing}"
-        ) from None
+        raise BagError(missing(error)) from None
     except ImportError as error:  # as of a matplotlib that was built for another NumPy
         raise BagError(f"'{module}' cannot be imported: {error}") from None
 

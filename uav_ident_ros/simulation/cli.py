@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR, OneLineParser
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
@@ -205,8 +205,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (SimulationError, BagWriteError, OSError) as error:
         print(f"simulate: {error}", file=sys.stderr)
         return USAGE_ERROR
-    except KeyboardInterrupt:
-        return INTERRUPTED
     print(
         f"{options.output}: {len(measured.imu_t_ns)} Imu and {len(measured.actuators)} actuator "
         f"messages, {measured.flight.duration:.1f} s"
