@@ -33,6 +33,7 @@ setup(
     package_data={
         PACKAGE: [
             "py.typed",
+            "import_logs/*.yaml",
             "report/templates/*",
             "simulation/airframes/*.yaml",
             "simulation/airframes/jsbsim/*/*.xml",

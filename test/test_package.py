@@ -284,6 +284,13 @@ def test_shared_files_are_installed():
     assert expected | {"package.xml", f"resource/{PACKAGE}"} <= installed
 
 
+def test_files_beside_the_modules_are_installed():
+    patterns = setup_arguments()["package_data"][PACKAGE]
+    installed = {path for pattern in patterns for path in (ROOT / PACKAGE).glob(pattern)}
+    beside = {p for p in project_files() if p.is_relative_to(ROOT / PACKAGE) and p.suffix != ".py"}
+    assert beside == {path for path in installed if path.is_file()}
+
+
 def needs_header(path: Path) -> bool:
     if path.suffix in {".py", ".sh", ".cfg", ".toml", ".in"}:
         return True
