@@ -105,7 +105,7 @@ def read_bag(path: Path) -> tuple[str, str]:
     try:
         with Bag(path) as bag:
             offline = OfflineRun(choose_inputs(bag, {}))
-            offline.run(bag, lambda messages, _: messages)
+            offline.run(bag)
             return ("with a loss" if bag.damage else "whole"), "; ".join(bag.damage)
     except (BagError, SettingsError) as error:
         first, *_ = str(error).splitlines()

@@ -27,6 +27,7 @@ from uav_ident_ros.offline.find import find_bags, is_collection, names_of
 from uav_ident_ros.offline.fleet import read_flights
 from uav_ident_ros.offline.job import Job, Outcome
 from uav_ident_ros.offline.parallel import DONE_FILE
+from uav_ident_ros.offline.run import Bar
 
 
 @pytest.fixture(scope="module")
@@ -412,7 +413,7 @@ def test_progress_without_a_terminal_has_few_lines(
 ) -> None:
     now = itertools.count(0.0, 10.0)  # each call of the clock advances ten seconds
     monkeypatch.setattr("tqdm.std.time", lambda: next(now))
-    assert list(job.Bar(range(8))) == list(range(8))
+    assert list(Bar(range(8))) == list(range(8))
     shares = [int(share) for share in re.findall(r"(\d+)%", capsys.readouterr().err)]
     assert shares == sorted(shares)
     assert 2 <= len(shares) < 8

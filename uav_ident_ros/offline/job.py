@@ -6,8 +6,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -15,9 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
-from tqdm import tqdm
-
-from uav_ident_ros.bags.reading import Bag, BagError, Message
+from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.writing import BagWriteError, write_file
 from uav_ident_ros.commandline import missing
 from uav_ident_ros.files.coefficients_file import (
@@ -36,19 +33,6 @@ from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.summary import Replayed, notes_on
 from uav_ident_ros.offline.tables import AXES, write_table
 from uav_ident_ros.offline.ticks import check_place, write_estimates
-
-LINE_EVERY = 30.0
-"""Interval of lines without a terminal, s."""
-
-
-class Bar(tqdm):
-    """A progress bar on the error stream; without a terminal, a line every `LINE_EVERY`."""
-
-    monitor_interval = 0  # its thread would receive Ctrl-C while this one blocks it
-
-    def __init__(self, *what: Any, **options: Any) -> None:
-        pace = {} if sys.stderr.isatty() else {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
-        super().__init__(*what, leave=False, miniters=0, **pace, **options)
 
 
 def optional(module: str) -> Any:
@@ -212,16 +196,12 @@ def write_results(folder: Path, replayed: Replayed) -> None:
 
 def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
     """Run the identifier on the bag; return the run, and notes on the bag."""
-
-    def wrap(messages: Iterable[Message], total: int) -> Iterable[Message]:
-        return Bar(messages, total=total, unit=" messages", disable=not shown)
-
     values = job.parameters()
     with Bag(job.bag) as bag:
         try:
             inputs = choose_inputs(bag, values, job.topics)
             run = OfflineRun(inputs, initial_coefficients(inputs.settings))
-            run.run(bag, wrap)
+            run.run(bag, shown)
             warnings += [f"fault: {run.fault}"] if run.fault else []
             noted = run.identifier.plausibility.noted.values()
             warnings += [f"implausible: {found.text}" for found in noted]

@@ -24,7 +24,8 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import RESULT_FILE, bag_files, name_size_hash
-from uav_ident_ros.offline.job import REFUSALS, Bar, Job, Outcome, optional, replay, reserved
+from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, optional, replay, reserved
+from uav_ident_ros.offline.run import Bar
 
 DONE_FILE = "replayed.json"
 

@@ -7,6 +7,7 @@ requests due ticks.
 
 from __future__ import annotations
 
+import sys
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from uav_ident_ros.bags.reading import Bag, BagError, Message
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
@@ -78,8 +80,18 @@ def time_bases(stretches: Iterable[Stretch]) -> list[Stretch]:
     return [most[era] for era in sorted(most)]
 
 
-Wrap = Callable[[Iterable[Message], int], Iterable[Message]]
-"""Wrapper of the messages, given their number, for a progress bar."""
+LINE_EVERY = 30.0
+"""Interval of lines of progress without a terminal, s."""
+
+
+class Bar(tqdm):
+    """A progress bar on the error stream; without a terminal, a line every `LINE_EVERY`."""
+
+    monitor_interval = 0  # its thread would receive Ctrl-C while this one blocks it
+
+    def __init__(self, *what: Any, **options: Any) -> None:
+        pace = {} if sys.stderr.isatty() else {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
+        super().__init__(*what, leave=False, miniters=0, **pace, **options)
 
 
 UNREADABLE = "unreadable"
@@ -153,7 +165,11 @@ class OfflineRun:
         # time base, delay and lag of each estimate
         self._contexts: list[tuple[int, float, float]] = []
 
-    def run(self, bag: Bag, wrap: Wrap = lambda messages, _: messages) -> None:
+    def run(
+        self,
+        bag: Bag,
+        shown: bool = False,  # Whether to show a progress bar
+    ) -> None:
         """Run the identifier on all messages of the topics, in the order of log time.
 
         Raises
@@ -166,7 +182,8 @@ class OfflineRun:
             if topic := self.inputs.streams.get(stream.name):
                 self._feeds[stream.name] = Feed(stream, self.identifier, _decoder(bag, topic))
         feeds = {topic: self._feeds[name] for name, topic in self.inputs.streams.items()}
-        for message in wrap(bag.messages(topics), sum(bag.counts[topic] for topic in topics)):
+        total, messages = sum(bag.counts[topic] for topic in topics), bag.messages(topics)
+        for message in Bar(messages, total=total, unit=" messages", disable=not shown):
             self._take(feeds[message.topic], message)
             self._tick()
 
