@@ -93,10 +93,6 @@ def number(
     return read
 
 
-def _interrupt(*_: object) -> NoReturn:
-    raise KeyboardInterrupt
-
-
 def end_as_on_ctrl_c() -> None:
     """Treat SIGTERM and SIGHUP as Ctrl-C: children end, the terminal is restored.
 
@@ -104,7 +100,7 @@ def end_as_on_ctrl_c() -> None:
     """
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, _interrupt)
+            signal.signal(number, signal.default_int_handler)
 
 
 def reader_has_gone() -> None:
