@@ -2,7 +2,7 @@
 """Advice on a replay: each piece is the text of one function of the evidence."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -347,7 +347,7 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     short_flight,
     collinear_groups,
 )
-"""All advice: causes before their effects, but see `_is_cheap`."""
+"""All advice: causes before their effects, but see `advise`."""
 
 OF_THE_BAG = (slow_streams, many_drops, short_flight)
 """Advice that applies without a model, too."""
@@ -355,19 +355,10 @@ OF_THE_BAG = (slow_streams, many_drops, short_flight)
 
 def advise(evidence: Evidence) -> tuple[Advice, ...]:
     """Return the advice on a replay, causes before their effects."""
-    for cause in ROOT_CAUSES:
-        if any(cause(evidence)):
-            return _pieces((cause, *OF_THE_BAG), evidence)
-    return _pieces(sorted(ADVICE, key=lambda piece: _is_cheap(piece, evidence)), evidence)
-
-
-def _is_cheap(piece: Callable[[Evidence], Iterator[str]], evidence: Evidence) -> bool:
-    """Whether a piece is minor: slow messages, if the best axis has nearly a perfect fit."""
-    best = float(np.fmax.reduce(evidence.fit.model))
-    return piece is slow_streams and 100.0 - best < FEW_POINTS
-
-
-def _pieces(
-    functions: Iterable[Callable[[Evidence], Iterator[str]]], evidence: Evidence
-) -> tuple[Advice, ...]:
-    return tuple(Advice(find.__name__, text) for find in functions for text in find(evidence))
+    pieces = list(ADVICE)
+    if 100.0 - float(np.fmax.reduce(evidence.fit.model)) < FEW_POINTS:
+        # slow messages are minor if the best axis has nearly a perfect fit
+        pieces.sort(key=lambda piece: piece is slow_streams)
+    if root := [cause for cause in ROOT_CAUSES if any(cause(evidence))]:
+        pieces = [root[0], *OF_THE_BAG]
+    return tuple(Advice(find.__name__, text) for find in pieces for text in find(evidence))
