@@ -21,6 +21,7 @@ from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.guest import CLOCK_AHEAD_NS, POLL_PERIOD, Guest, StepClock
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
+from uav_ident_ros.offline import NODE_NAME
 from uav_ident_ros.ros import latched
 
 CLOCK_PERIOD_NS = 10_000_000
@@ -76,18 +77,16 @@ class Player(Guest):
     def __init__(
         self,
         topics: dict[str, type],  # Topics to publish and their message classes
-        node_name: str = "/identifier",  # Full name of the receiving node
         clock: bool = True,  # Whether to publish /clock
         ending: Ending | None = None,  # As in `Guest`
     ) -> None:
         super().__init__("player", ending)
         self.outputs = Outputs()
-        self._node_name = node_name
         self._publishers = {
             topic: self.node.create_publisher(kind, topic, DEPTH) for topic, kind in topics.items()
         }
         self._clock = StepClock(self.node, self._executor, CLOCK_PERIOD_NS, clock)
-        out, name, last = self.outputs, self._node_name, latched(DEPTH)
+        out, name, last = self.outputs, NODE_NAME, latched(DEPTH)
         subscribe = self.node.create_subscription
         subscribe(JointState, f"{name}/coefficients_named", out.named.append, last)
         subscribe(Float64MultiArray, f"{name}/coefficients", out.coefficients.append, last)
@@ -96,7 +95,7 @@ class Player(Guest):
         subscribe(DiagnosticArray, "/diagnostics", self._keep_status, DEPTH)
 
     def _keep_status(self, message: DiagnosticArray) -> None:
-        self.outputs.status += [s for s in message.status if s.name == self._node_name]
+        self.outputs.status += [s for s in message.status if s.name == NODE_NAME]
 
     def wait_until(
         self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE
@@ -110,7 +109,7 @@ class Player(Guest):
         publishers = [*self._publishers.values()]
         if self._clock.publisher is not None:
             publishers.append(self._clock.publisher)
-        output = f"{self._node_name}/coefficients_named"
+        output = f"{NODE_NAME}/coefficients_named"
         return self.node.count_publishers(output) > 0 and all(
             publisher.get_subscription_count() > 0 for publisher in publishers
         )
@@ -119,7 +118,7 @@ class Player(Guest):
         """Spin until the node and this player have discovered each other."""
         self.wait_until(
             self.node_is_there,
-            f"node '{self._node_name}' to subscribe to {', '.join(self._publishers)}"
+            f"node '{NODE_NAME}' to subscribe to {', '.join(self._publishers)}"
             + (" and /clock" if self._clock.publisher else ""),
         )
         self._wait_for_service()
@@ -131,16 +130,16 @@ class Player(Guest):
         Discovery is one-sided at first: a node that the player has discovered may not receive its
         messages yet.
         """
-        client = self.node.create_client(ListParameters, f"{self._node_name}/list_parameters")
+        client = self.node.create_client(ListParameters, f"{NODE_NAME}/list_parameters")
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
-            self.wait_until(client.service_is_ready, f"node '{self._node_name}'")
+            self.wait_until(client.service_is_ready, f"node '{NODE_NAME}'")
             answer = client.call_async(ListParameters.Request())
             if self.spin_for(CALL_AGAIN_AFTER, answer.done):
                 self.node.destroy_client(client)
                 return
             client.remove_pending_request(answer)
-        raise PlayerError(f"waited {PATIENCE:g} s in vain for node '{self._node_name}' to answer")
+        raise PlayerError(f"waited {PATIENCE:g} s in vain for node '{NODE_NAME}' to answer")
 
     def send(self, topic: str, data: Any) -> None:
         """Publish one message, or its CDR bytes."""
