@@ -40,7 +40,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> OfflineRun:
 
 @pytest.fixture(scope="module")
 def flight(run: OfflineRun) -> Flight:
-    return Flight("multisine", run)
+    return Flight(run)
 
 
 # --- lines -----------------------------------------------------------------------------------
@@ -172,7 +172,7 @@ def test_a_second_time_base_continues_the_time_axis(tmp_path: Path) -> None:
         message.header.stamp.sec += 86_400 * (log_ns > START_NS + 6 * SECOND_NS)
 
     bag = excerpt(tmp_path / "bag", 12.0, change=later)
-    two = Flight("two", run_over(bag, parameters()))
+    two = Flight(run_over(bag, parameters()))
     assert two.restarts == pytest.approx([7.0], abs=0.1)  # after a pause of a second
     chart = state_chart(two, Timeline(two.span, two.restarts), [])
     low, high = chart.model.x_range.bounds

@@ -122,7 +122,7 @@ class Replayed:
     @cached_property
     def flight(self) -> Flight:
         """The flight on one clock, for charts."""
-        return Flight(self.name, self.run)
+        return Flight(self.run)
 
     @cached_property
     def modes(self) -> list[Mode]:

@@ -7,6 +7,7 @@ from itertools import groupby
 import numpy as np
 from bokeh.models import ColumnDataSource, Span
 
+from uav_ident_ros.files.meanings import AXIS_WORDS
 from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.prediction import LAST_PART
 from uav_ident_ros.identification.structure import INPUTS, ROWS, SPECIFIC_FORCES
@@ -50,7 +51,6 @@ GRAVEST = ("fault", "waiting", "paused", "learning", "converged")
 MOST_REASONS = 6
 """Number of reasons not to learn with a row of their own, the longest first."""
 
-AXIS_WORDS = {"p": "Roll", "q": "Pitch", "r": "Yaw"}
 UNITS = {
     **dict.fromkeys(AXES, "rad/s"),
     **dict.fromkeys(SPECIFIC_FORCES, "m/s²"),
@@ -63,33 +63,27 @@ UNITS = {
 def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[Chart]:
     """Yield the charts of rates with predictions, and of residuals, for each axis."""
     second = flight.ahead
-    for k, axis in enumerate(AXES):
+    for k, (axis, word) in enumerate(zip(AXES, AXIS_WORDS.values(), strict=True)):
         measured = flight.rates[:, k]
         limit = RATE_HEADROOM * max(float(np.abs(measured).max(initial=0.0)), SMALLEST_RANGE)
         chart = line.figure(f"{axis} [rad/s]", 220, y_range=(-limit, limit))
         gyro = line.source(flight.t, {"measured": measured}, RATE_BINS)
-        line.line(chart, gyro, "measured", "measured", line_width=1.8)
         both = {"predicted": second.predicted[:, k], "residual": second.residual[:, k]}
         ahead = line.source(second.t, both, TICK_BINS)
-        line.line(chart, ahead, "predicted", "ahead", name="predicted 1 s before")
-        yield Chart(
-            f"rates-{axis}",
-            f"{AXIS_WORDS[axis]} rate {axis}",
-            chart,
-            legend=(("measured", "measured"), ("predicted 1 s before", "ahead")),
+        legend = (
+            line.line(chart, gyro, "measured", "measured", line_width=1.8),
+            line.line(chart, ahead, "predicted", "ahead", name="predicted 1 s before"),
         )
+        yield Chart(f"rates-{axis}", f"{word.capitalize()} rate {axis}", chart, legend=legend)
         reach = max(_reach(flight, prediction, k) for prediction in (second, tick))
         reach = min(max(RATE_HEADROOM * reach, SMALLEST_RANGE), limit)
         chart = line.figure("[rad/s]", 120, y_range=(-reach, reach))
-        line.line(chart, ahead, "residual", "ahead", name="1 s ahead")
         short = line.source(tick.t, {"residual": tick.residual[:, k]}, TICK_BINS)
-        line.line(chart, short, "residual", "tick", name="one tick ahead")
-        yield Chart(
-            f"residual-{axis}",
-            f"Residual of {axis}",
-            chart,
-            legend=(("1 s ahead", "ahead"), ("one tick ahead", "tick")),
+        legend = (
+            line.line(chart, ahead, "residual", "ahead", name="1 s ahead"),
+            line.line(chart, short, "residual", "tick", name="one tick ahead"),
         )
+        yield Chart(f"residual-{axis}", f"Residual of {axis}", chart, legend=legend)
 
 
 def _reach(flight: Flight, prediction: Predictions, axis: int) -> float:

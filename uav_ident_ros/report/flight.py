@@ -29,10 +29,8 @@ class Flight:
 
     def __init__(
         self,
-        name: str,  # Name of the bag
         run: OfflineRun,  # Finished run with at least one estimate
     ) -> None:
-        self.name = name
         self.structure = run.structure  # Structure of the estimates
         self.settings = run.inputs.settings
         self.estimates = run.estimates  # One per tick

@@ -59,7 +59,7 @@ def write_picture(
         loc="left",
     )
     panels[0][0].legend(loc="upper left", ncols=2, fontsize="small")
-    figure.suptitle(f"{flight.name}: {flight.settings.estimator}, {flight.structure.name}")
+    figure.suptitle(f"{replayed.name}: {flight.settings.estimator}, {flight.structure.name}")
     with whole(path) as part:
         # Without the software's name and version the same data give the same bytes.
         figure.savefig(part, dpi=DPI, metadata={"Software": None})

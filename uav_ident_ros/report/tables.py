@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from uav_ident_ros.files.meanings import AXIS_WORDS
 from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline.tables import Number, Row, Table, Words
-from uav_ident_ros.report.charts import AXIS_WORDS
 from uav_ident_ros.report.diagrams import SIGNALS, signals
 from uav_ident_ros.report.flight import Flight
 
@@ -95,7 +95,7 @@ def card(fit: Mapping[str, Any], axis: str) -> dict[str, Any]:
     model, hold = fit["model"][axis], fit["hold"][axis]
     share, mark = (min(max(value or 0.0, 0.0), 100.0) for value in (model, hold))
     return {
-        "axis": f"{AXIS_WORDS[axis].lower()}, {axis}",
+        "axis": f"{AXIS_WORDS[f'{axis}dot']}, {axis}",
         "value": Number(model, ".1f"),
         "diverges": model is not None and model < LOWEST_SHOWN,
         "share": f"{share:.1f}",

@@ -139,12 +139,16 @@ class Timeline:
 
     def line(
         self, chart: Any, source: ColumnDataSource, column: str, color: str, **options: Any
-    ) -> None:
-        """Draw a column of a source over its column ``t``; the colour is a name in `COLORS`."""
+    ) -> tuple[str, str]:
+        """Draw a column of a source over its column ``t``; return its entry in a legend.
+
+        The colour is a name in `COLORS`.
+        """
         name = str(options.pop("name", column))
         drawn = chart.line("t", column, source=source, name=name, color=COLORS[color], **options)
         tips = (("time", "@t{0.00} s"), (name, f"@{{{column}}}{{0.0000}}"))
         hover(chart, drawn, *tips, mode="vline")
+        return name, color
 
 
 LONGEST_GAP = 0.5
