@@ -199,10 +199,10 @@ def test_ctrl_c_during_the_imports_leaves_no_traceback(name: str) -> None:
     """They take a second: those of the command, and those of NumPy that all have."""
     assert console_scripts()[name] == f"{PACKAGE}.commandline:{name}"
     code = (
-        "import sys\n"
+        "import os, signal, sys\n"
         "class Interrupt:\n"
         "    def find_spec(self, name, *_):\n"
-        "        if name == 'numpy': raise KeyboardInterrupt\n"
+        "        if name == 'numpy': os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Interrupt())\n"
         f"from {PACKAGE}.commandline import {name}; sys.exit({name}(['x']))"
     )

@@ -5,8 +5,8 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
 from typing import NoReturn, TypeVar
@@ -41,12 +41,11 @@ CURES = {
 
 
 def run(name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a command of `COMMANDS` and return its exit status.
-
-    Ctrl-C during the imports, too, ends it without a traceback.
-    """
+    """Run a command of `COMMANDS` and return its exit status; Ctrl-C leaves no traceback."""
     try:
-        return int(import_module(f"uav_ident_ros.{COMMANDS[name]}").main(arguments))
+        with importing():
+            module = import_module(f"uav_ident_ros.{COMMANDS[name]}")
+        return int(module.main(arguments))
     except KeyboardInterrupt:
         return INTERRUPTED
     except ModuleNotFoundError as error:
@@ -56,6 +55,18 @@ def run(name: str, arguments: Sequence[str] | None = None) -> int:
 
 # the programs of setup.py
 demo, fleet, import_log, monitor, replay, simulate = (partial(run, name) for name in COMMANDS)
+
+
+@contextmanager
+def importing() -> Iterator[None]:
+    """Let Ctrl-C end the program at once: imports may turn a KeyboardInterrupt into an error."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def missing(error: ModuleNotFoundError) -> str:

@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-from uav_ident_ros.commandline import OneLineParser, number
+from uav_ident_ros.commandline import OneLineParser, importing, number
 
 NODE_NAME = "/identifier"
 
@@ -40,8 +40,8 @@ def main(args: list[str] | None = None) -> int:
     """Run the command; the return value is the exit status, see `replay --help`."""
     command_line = parser()
     options = command_line.parse_args(args)
-    from uav_ident_ros.offline.command import run  # help needs none of its imports
-
+    with importing():
+        from uav_ident_ros.offline.command import run  # help needs none of its imports
     return run(command_line, options)
 
 
