@@ -287,7 +287,7 @@ def test_the_algorithm_page_has_the_constants_of_the_code() -> None:
         f"for {plausibility.ENOUGH:g} s an input is never within {plausibility.LARGEST_TRIM:g} rad",
         f"one g over any {plausibility.WINDOW:g} s",
         f"larger of {gates.NOISE_SWING:.1f} times the gyro's own noise and "
-        f"{gates.REST_SWAY:g} rad/s: noise exceeds {scales.DOUBTLESS:.1f} sigma",
+        f"{scales.REST_SWAY:g} rad/s: noise exceeds {scales.DOUBTLESS:.1f} sigma",
         f"median of the first {sampling.RATE_SAMPLES} intervals",
         f"limited to 1/{speed.LARGEST_RATIO:g} ... {speed.LARGEST_RATIO:g}",
         f"k = {flow.ATTITUDE_GAIN:g} 1/s",

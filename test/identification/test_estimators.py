@@ -147,11 +147,11 @@ def test_inputs_that_correlate_by_more_than_97_percent_are_named(
     assert found == [(f"{row}/dr", f"{row}/da") for row in ("pdot", "rdot") if named]
 
 
-def test_the_first_residual_variance_is_that_of_noise_of_a_third_of_a_rad_s2() -> None:
+def test_the_first_residual_variance_is_that_of_noise_of_0_3_rad_s2() -> None:
     """With as much information as the prior, half of the aileron's effect is estimated."""
     structure, start = STRUCTURES["augmented"], start_from(Settings())
     place, effect = structure.index("pdot/da"), 40.0
-    needed = 0.1 * 0.1 / start.sigma[STRUCTURES["flight_dynamics"].index("pdot/da")] ** 2
+    needed = 0.3**2 * 0.1 / start.sigma[STRUCTURES["flight_dynamics"].index("pdot/da")] ** 2
     f, y = np.zeros((4, structure.size)), np.zeros((4, 3))
     f[:, place[1]] = np.sqrt(needed / (4 * 0.05))
     y[:, 0] = effect * f[:, place[1]]

@@ -126,8 +126,9 @@ def test_a_stuck_gyro_is_named_and_its_samples_are_not_learned() -> None:
     }
     found, right = estimates[-1].coefficients[1], healthy().coefficients[1]
     np.testing.assert_allclose(found, right, rtol=0.1, atol=0.5)
-    ungated = flown(stream, supervision__stuck_time=0.0, supervision__max_residual=0.0)[1][-1]
-    assert abs(ungated.coefficients[1, 8] / right[8] - 1.0) > 0.1
+    ungated = flown(stream, supervision__stuck_time=0.0, supervision__max_residual=0.0)[1]
+    during = np.array([e.coefficients[1, 8] for e in flying.since(ungated, 33.0, 45.0)])
+    assert np.abs(during / right[8] - 1.0).max() > 0.1
 
 
 def rounded(
@@ -301,13 +302,13 @@ def test_an_elevator_halved_after_a_warm_start_is_learned_anew() -> None:
 
 
 def test_a_long_storm_under_an_autopilot_does_not_change_the_coefficients() -> None:
-    segments = (Segment("multisine", duration=46.0, amplitudes=flying.AMPLITUDES, seed=1),)
+    segments = (Segment("multisine", duration=46.0, amplitudes=flying.AMPLITUDES, seed=2),)
 
     def flight(rms: float, duration: float, seed: int) -> Measurements:
         air = {"gusts": ColouredNoise(rms, 0.3), "autopilot": True, "seed": seed}
         return flying.measured(duration, segments=segments, **air)
 
-    calm = flight(0.3, 47.0, 2)
+    calm = flight(0.3, 46.0, 2)
     for gusts in (4.0, 1.5):
         hit, (*_, before) = flying.identified(calm, structure=STRUCTURE)
         assert before.usable

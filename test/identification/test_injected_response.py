@@ -147,10 +147,12 @@ def test_an_estimated_lag_is_used_where_the_delay_is_estimated() -> None:
     assert (found.delay, found.lag) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize(("lag", "usable"), [(0.0, True), (0.07, False)])
-def test_only_a_long_unseparated_lag_makes_the_rows_unusable(lag: float, usable: bool) -> None:
+@pytest.mark.parametrize(("lag", "seconds", "usable"), [(0.0, 60.0, True), (0.07, 80.0, False)])
+def test_only_a_long_unseparated_lag_makes_the_rows_unusable(
+    lag: float, seconds: float, usable: bool
+) -> None:
     """Lag and delay of the same length differ to second order."""
-    m = light_measured(60.0, bank=20.0, delay=0.02, time_constant=lag)
+    m = light_measured(seconds, bank=20.0, delay=0.02, time_constant=lag)
     configured = {"actuators__time_constant": 0.0, "actuators__estimate_delay": True}
     identifier, (*_, last) = identified(m, stream=with_injected(m), **configured)
     assert identifier.delays.estimate.from_injected

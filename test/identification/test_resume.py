@@ -78,7 +78,7 @@ def test_wrong_coefficients_are_refused_and_change_no_value() -> None:
 
 def test_settings_of_learning_and_signals_may_change_and_coefficients_stay() -> None:
     stream = flying.messages(flying.excited())
-    half = len(stream) // 2
+    half = 2 * len(stream) // 3
     before = flying.run(flown := flying.fresh(), stream[:half])[-1]
     unchanged = flying.run(deepcopy(flown), stream[half : half + 1000])[-1]
     for name, value in (

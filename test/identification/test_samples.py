@@ -106,7 +106,7 @@ def test_stamps_beyond_the_range_of_a_message_are_dropped() -> None:
 @pytest.mark.parametrize(
     ("stream", "real", "beyond"),
     [
-        ("rates", 4000.0 * math.pi / 180.0, 7000.0 * math.pi / 180.0),  # full scale of a gyro
+        ("rates", 4000.0 * math.pi / 180.0, 7400.0 * math.pi / 180.0),  # full scale of a gyro
         ("force", 90.0 * 9.80665, 120.0 * 9.80665),  # full scale of an accelerometer for shocks
         ("airspeed", 900.0, 1200.0),
         ("actuators", 700_000.0, 1.2e6),  # ten times the 1/min of a small motor

@@ -24,6 +24,7 @@ from uav_ident_ros.identification.scales import (
     LOOK_TIME,
     OUTLYING,
     RESPONSE_TIME,
+    REST_SWAY,
     SHORT_MEMORY,
     SURE,
 )
@@ -35,9 +36,6 @@ NOISE_SWING = 2.0 * DOUBTLESS
 """Peak-to-peak swing of noise over two seconds, in standard deviations: `DOUBTLESS` both ways is
 not exceeded, 3 to 6 is usual. In the smoothest flight the rates swing by 11 and more standard
 deviations of the gyro's noise."""
-
-REST_SWAY = 0.01
-"""Swing of the rates of an aircraft at rest, rad/s: wind and an idling engine rock it."""
 
 CHANCE = math.erfc(SURE / math.sqrt(2.0))
 """Expected number below which an event is not due to chance: the tail beyond `SURE` sigma."""

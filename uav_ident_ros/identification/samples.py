@@ -116,8 +116,8 @@ SECOND_NS = 1_000_000_000
 NO_TICK = -(2**62)
 """Time of the last tick before the first, ns."""
 
-LARGEST_GYRO_RATE = 100.0
-"""Rate that no gyro of an aircraft measures, rad/s: 5700 deg/s."""
+LARGEST_GYRO_RATE = math.pi / STEP
+"""Rate that no aircraft reaches, rad/s: half a turn in a step of integration, 7200 deg/s."""
 
 LARGEST_MOTION = 1000.0
 """Specific force, m/s^2, and airspeed, m/s, that no aircraft survives."""

@@ -59,5 +59,8 @@ TINY = float(np.finfo(float).tiny)
 ROUNDING = float(np.finfo(float).eps) ** 0.5
 """Relative size that counts as zero: far above rounding, far below every measurement."""
 
+REST_SWAY = 0.01
+"""Swing of the rates of an aircraft at rest, rad/s: wind and an idling engine rock it."""
+
 IN_A_ROW = 5
 """Number of consecutive samples that confirm a saturated gyro, a clock jump or lost inputs."""

@@ -15,21 +15,15 @@ from functools import lru_cache
 
 import numpy as np
 
+from uav_ident_ros.identification.scales import ROUNDING
 from uav_ident_ros.identification.settings import ExcitationSettings
 from uav_ident_ros.identification.structure import INPUTS, BoolArray, FloatArray
 
 PEAK_SAMPLES_PER_CYCLE = 32
 """Samples per cycle of the highest harmonic when the peak of a multisine is measured."""
 
-CLIPPING_ITERATIONS = 300
-"""Steps of the peak optimisation: with half as many the peak is up to 5 % higher, with twice as
-many at most 4 % lower (27 multisines of three bands)."""
-
-CLIPPING_RESTARTS = 6
-"""Random starts of the peak optimisation, of which the best is kept."""
-
-CLIPPING_START, CLIPPING_END = 0.75, 0.98
-"""Clip level relative to the present peak, from the first iteration to the last."""
+PEAK_ERROR = 0.5 * (math.pi / PEAK_SAMPLES_PER_CYCLE) ** 2
+"""Relative error of a peak that lies between two samples, 0.5 %: a smaller fall is none."""
 
 PULSES: dict[str, tuple[tuple[float, float], ...]] = {
     "3211": ((3.0, 1.0), (2.0, -1.0), (1.0, 1.0), (1.0, -1.0)),
@@ -67,19 +61,31 @@ def _period(harmonics: Sequence[int], phases: FloatArray) -> FloatArray:
 
 
 def _low_peak_phases(harmonics: Sequence[int], rng: np.random.Generator) -> FloatArray:
-    """Return phases with a low peak, by repeated clipping in time (Van der Ouderaa 1988)."""
-    index = list(harmonics)
-    best, best_spread = np.zeros(len(index)), np.inf
-    for _ in range(CLIPPING_RESTARTS):
-        phases = rng.uniform(-np.pi, np.pi, len(index))
-        for clip in np.linspace(CLIPPING_START, CLIPPING_END, CLIPPING_ITERATIONS):
-            signal = _period(index, phases)
-            spread = float(np.ptp(signal))
-            if spread < best_spread:
-                best, best_spread = phases, spread
-            limit = clip * float(np.abs(signal).max())
-            phases = np.angle(np.fft.rfft(np.clip(signal, -limit, limit))[index])
-    return best
+    """Return phases with a low peak, from random ones.
+
+    The L2p norms of the signal approach its peak as p grows. Gauss-Newton steps, whole or half,
+    lower each norm while the peak falls too; then p doubles (Guillaume et al. 1991). With as many
+    samples as p the norm is the peak.
+    """
+    phases = rng.uniform(-np.pi, np.pi, len(harmonics))
+    signal = _period(harmonics, phases)
+    angles = np.multiply.outer(2.0 * np.pi / len(signal) * np.arange(len(signal)), harmonics)
+    p = 2
+    while p <= len(signal):
+        peak = np.abs(signal).max()
+        weight = (np.abs(signal) / peak) ** (p - 1)
+        slope = -p * weight[:, None] * np.sin(angles + phases)
+        normal = slope.T @ slope
+        normal += ROUNDING * np.trace(normal) * np.eye(len(phases))  # a time shift changes no norm
+        step = np.linalg.solve(normal, slope.T @ (weight * signal))
+        for tried in (phases - step, phases - 0.5 * step):
+            moved = _period(harmonics, tried)
+            if np.abs(moved).max() < (1.0 - PEAK_ERROR) * peak:
+                phases, signal = tried, moved
+                break
+        else:
+            p *= 2
+    return phases
 
 
 @lru_cache(maxsize=64)

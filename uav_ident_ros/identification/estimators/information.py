@@ -19,21 +19,23 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from uav_ident_ros.identification.prior import Start, physical_bounds
+from uav_ident_ros.identification.prior import RATE_SIGMA, Start, physical_bounds
 from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
 from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     INDEPENDENT_TIME,
     OUTLYING,
     RESPONSE_TIME,
+    REST_SWAY,
     ROUNDING,
     SHORT_MEMORY,
     TINY,
 )
 from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray, Structure
 
-FIRST_RESIDUAL_VARIANCE = 0.1
-"""Residual variance before the first measured one, rad^2/s^4: filtered gyro noise."""
+FIRST_RESIDUAL_VARIANCE = (RATE_SIGMA * REST_SWAY) ** 2
+"""Residual variance before the first measured one, rad^2/s^4: what an unknown damping makes of the
+sway of an aircraft at rest. Such a motion then moves the damping by less than its prior sigma."""
 
 MODEL_ERROR = 0.03
 """Error of a coefficient, relative to its value, that no residual shows: one value holds for a

@@ -32,6 +32,7 @@ from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
+    INPUTS,
     MAIN_COLUMNS,
     MAIN_DERIVATIVES,
     RATE_COLUMNS,
@@ -40,6 +41,8 @@ from uav_ident_ros.identification.structure import (
     BoolArray,
     FloatArray,
 )
+
+_AILERON = INPUTS.index("da")
 
 
 class RecursiveRegression:
@@ -164,7 +167,9 @@ class RecursiveRegression:
             answering = reference._feedback.answering
         self.may_answer = answers > 0.0
         # An input that answers gusts looks late. Without knowledge a priori either denies the row.
-        ratio, rolls = answers * self._known_a_priori, float(answers[0])
+        ratio = answers * self._known_a_priori
+        # The height has no such knowledge, and chance must not hide it: it biases the aileron.
+        rolls = float(answers[0]) if self.answers[_AILERON] else 0.0
         effect = self._linear[MAIN_DERIVATIVES]
         settled = self.information.time.max() >= START_TIME
         restarted = samples.restarted
