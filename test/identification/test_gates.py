@@ -20,7 +20,7 @@ from uav_ident_ros.identification.gates import (
     SpikeFilter,
 )
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import Drop
+from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
@@ -154,7 +154,7 @@ def rounded(
     for tick in np.arange(0.05, seconds, 0.05):
         end = int(np.searchsorted(t, tick, side="right"))
         samples = np.hstack([rates, force])[passed:end]
-        look = Look(float(tick), samples, np.empty((0, 4)), None, None, True, "", Settings())
+        look = Look(float(tick), samples, np.empty((0, 4)), None, "", None, True, "", Settings())
         reasons.append(gate.check(look))
         passed = end
     return reasons
@@ -224,15 +224,23 @@ def test_an_armed_topic_decides_if_it_is_configured() -> None:
     assert flying.run(unset, first)[-1].adapting
 
 
+def at_speed(stream: list[flying.Message], speed: float) -> list[flying.Message]:
+    """Return messages with an airspeed, m/s, before each of the inputs."""
+    return [
+        part
+        for m in stream
+        for part in (m._replace(stream=AIRSPEED, values=(speed,)), m)
+        if part is m or m.stream == ACTUATORS
+    ]
+
+
 def test_below_flying_speed_nothing_is_learned() -> None:
     slow = flying.fresh(airspeed__type="std_msgs/msg/Float64", supervision__min_airspeed=8.0)
     first, second, _ = thirds()
-    slow.add_airspeed(first[0].t_ns, 3.0)
-    assert {e.reason for e in flying.run(slow, first)[5:]} == {
+    assert {e.reason for e in flying.run(slow, at_speed(first, 3.0))[5:]} == {
         "not flying: the airspeed is below 8 m/s"
     }
-    slow.add_airspeed(second[0].t_ns, 20.0)
-    assert flying.run(slow, second)[-1].adapting
+    assert flying.run(slow, at_speed(second, 20.0))[-1].adapting
 
 
 def test_with_a_blocked_pitot_tube_no_row_is_usable() -> None:
@@ -241,13 +249,11 @@ def test_with_a_blocked_pitot_tube_no_row_is_usable() -> None:
     blocked = OnlineIdentifier(flying.settings(m, airspeed__type="std_msgs/msg/Float64"))
     stream = flying.messages(m)
     cut = next(k for k, m in enumerate(stream) if m.t_ns - stream[0].t_ns >= 40_000_000_000)
-    blocked.add_airspeed(stream[0].t_ns, 20.0)
-    assert flying.run(blocked, stream[:cut])[-1].usable
-    blocked.add_airspeed(stream[cut].t_ns, 0.0)
+    assert flying.run(blocked, at_speed(stream[:cut], 20.0))[-1].usable
     half = (cut + len(stream)) // 2
-    after = flying.run(blocked, stream[cut:half])[2:]  # two ticks were pending
+    after = flying.run(blocked, at_speed(stream[cut:half], 0.0))[2:]  # two ticks were pending
     learned, scored = blocked.coefficient_set().values, blocked.running_fit.fit.copy()
-    after += flying.run(blocked, stream[half:])
+    after += flying.run(blocked, at_speed(stream[half:], 0.0))
     assert not any(any(e.usable_rows) for e in after)
     assert all("look at the pitot tube" in e.reason for e in after)
     np.testing.assert_array_equal(blocked.coefficient_set().values, learned)
@@ -437,7 +443,7 @@ def test_rest_is_detected_by_the_gyros_noise_and_by_the_airspeed(
         t = 0.05 * k
         samples = noise * rng.standard_normal((10, 6))
         samples[:, 1] += 0.5 * swing * np.sin(2.0 * np.pi * 0.3 * t)
-        look = Look(t, samples, np.zeros((0, 4)), airspeed, None, True, "", Settings())
+        look = Look(t, samples, np.zeros((0, 4)), airspeed, "", None, True, "", Settings())
         reason = gate.check(look)
         if t > 4.0:
             reasons.add(reason)

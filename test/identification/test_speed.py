@@ -57,8 +57,12 @@ def worst_linear(found: FloatArray, truth: FloatArray) -> float:
     return float(np.abs(found / np.where(linear, truth, 1.0) - 1.0)[linear].max())
 
 
+FRD = {"imu.convention": "frd", "forgetting_time": 0.0}
+MEASURED = {"airspeed.type": "std_msgs/msg/Float64", "airspeed.reference": REFERENCE}
+
+
 def identify(**values: Any) -> tuple[OnlineIdentifier, Estimate]:
-    plain = {"structure": STRUCTURE.name, "imu.convention": "frd", "forgetting_time": 0.0}
+    plain = {"structure": STRUCTURE.name, **FRD}
     identifier = OnlineIdentifier(Settings.from_values({**plain, **values}))
     estimates: list[Estimate] = []
     for t, x, u in zip(*flown(), strict=True):
@@ -71,11 +75,28 @@ def identify(**values: Any) -> tuple[OnlineIdentifier, Estimate]:
 
 
 def test_one_set_of_coefficients_holds_at_all_airspeeds() -> None:
-    measured = {"airspeed.type": "std_msgs/msg/Float64", "airspeed.reference": REFERENCE}
-    identifier, estimate = identify(**measured)
+    identifier, estimate = identify(**MEASURED)
     assert worst_linear(identifier.coefficient_set().values, PLANT.coefficients) < 0.02
     now = (estimate.t_ns - START_NS) * 1e-9
     assert worst_linear(estimate.coefficients, scaled(float(airspeed(np.array(now))))) < 0.02
+
+
+def test_a_silent_airspeed_pauses_learning_and_denies_the_verdict_until_it_returns() -> None:
+    settings = Settings.from_values({"structure": STRUCTURE.name, **FRD, **MEASURED})
+    identifier, estimates = OnlineIdentifier(settings), []
+    for t, x, u in zip(*flown(), strict=True):
+        t_ns = START_NS + round(t * 1e9)
+        identifier.add_actuators(t_ns, u.tolist())
+        if not 32.0 < t < 36.0:
+            identifier.add_airspeed(t_ns, float(airspeed(t)))
+        identifier.add_rates(t_ns, x.tolist())
+        estimates += identifier.advance()
+    states = {
+        (e.state, e.reason, e.usable) for e in estimates if 34.1 < (e.t_ns - START_NS) * 1e-9 < 36.0
+    }
+    assert states == {("paused", "no airspeed has arrived in the last 2 s", False)}
+    before, after = (estimates[round(20.0 * t)] for t in (33.0, 37.0))
+    assert before.usable and after.usable
 
 
 def test_without_an_airspeed_the_scaling_is_off() -> None:

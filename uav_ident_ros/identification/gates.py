@@ -55,6 +55,7 @@ class Look(NamedTuple):
     samples: FloatArray
     raw: FloatArray  # (j, N) Raw channels that still affect the state of the filters
     airspeed: float | None  # True airspeed, m/s; None if there is none
+    silence: str  # Reason why the airspeed is out of date; empty if it is not
     armed: bool | None  # Whether the motors are armed; None if no message has arrived
     adapt: bool  # Whether learning is switched on
     implausible: str  # Contradiction between signals and settings; empty if there is none
@@ -115,6 +116,7 @@ class Gates:
                 lambda look: grounded(look.settings, look.armed, look.airspeed),
                 unreadable=True,
             ),
+            Gate("airspeed", "airspeed.type", lambda look: look.silence, unreadable=True),
             Gate("Imu", "supervision.max_rate, stuck_time", SensorGate().check, unreadable=True),
             Gate(
                 "channel limit",

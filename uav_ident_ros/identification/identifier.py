@@ -312,9 +312,13 @@ class OnlineIdentifier:
 
     @property
     def speed_believed(self) -> bool:
-        """Whether the speed scaling is valid: no airspeed is measured, or it is high enough."""
-        newest = self._speed.newest
-        return newest is None or newest >= slowest(self.settings.airspeed)
+        """Whether the speed scaling is valid.
+
+        It is where no airspeed is measured, or where it is high enough and up to date.
+        """
+        speed = self._speed
+        high_enough = speed.newest is None or speed.newest >= slowest(self.settings.airspeed)
+        return high_enough and not speed.silence(self._looked_ns)
 
     # -- samples in ------------------------------------------------------------------------
     #
@@ -433,8 +437,8 @@ class OnlineIdentifier:
             self.plausibility.look(t_ns * NS, samples, fresh)
         self._looked_ns = t_ns
         look = Look(
-            t_ns * NS, samples, channels, self._speed.newest, supervisor.armed, supervisor.adapt,
-            self.plausibility.signal_fault, settings,
+            t_ns * NS, samples, channels, self._speed.newest, self._speed.silence(t_ns),
+            supervisor.armed, supervisor.adapt, self.plausibility.signal_fault, settings,
         )  # fmt: skip
         supervisor.gates.look(look)
 

@@ -176,8 +176,10 @@ class RecursiveRegression:
         # In quiet flight the samples contain only gusts and an autopilot's answers.
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
-        self.model_error = self._error.relative_error(self._known_inputs())
-        self.height = self._error.height
+        known_inputs = self._known_inputs()
+        self.model_error = self._error.relative_error(known_inputs)
+        # Where gusts alone make the aircraft roll, their side force looks like a height.
+        self.height = self._error.height if known_inputs[0] else 0.0
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
         self.information.add(parts, weight, answering)
