@@ -18,7 +18,7 @@ from uav_ident_ros.simulation.noise import Sensors
 
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
-SMALL = 0.5
+SMALL = 0.4
 """Share of the usual excitation: small, since the derivatives are local."""
 
 
