@@ -127,7 +127,7 @@ def information_of(f: FloatArray, y: FloatArray) -> Information:
     """Information of samples, 50 ms apart, with a correlation time of 0.1 s."""
     structure, places = STRUCTURES["augmented"], layout(STRUCTURES["augmented"])
     start = start_from(Settings.from_values({"structure": "augmented"}))
-    information = Information(structure, places, start, 0.1)
+    information = Information(structure, start, 0.1)
     samples = RowSamples.of(Regression.of(y, f, f, 0.05), y, places)
     information.add([samples], np.ones(places.rows))
     return information

@@ -144,7 +144,7 @@ def learned(
     if initial:
         values[PDOT_DA], sigma[PDOT_DA] = initial, 0.2 * initial
     start = replace(start, values=values, sigma=sigma)
-    information = Information(STRUCTURE, LAYOUT, start, 0.1, 0.0, (instruments,))
+    information = Information(STRUCTURE, start, 0.1, 0.0, (instruments,))
     rows, ratio = RowSamples.of(samples, residual, LAYOUT), share / (1.0 - share)
     answering = answers(ratio * sure, share, share * sure) if share else None
     for k in range(0, rows.count, 20):
@@ -232,7 +232,7 @@ def test_the_elevator_is_learned_from_an_excitation_after_feedback() -> None:
 def test_feedback_does_not_increase_the_whitened_estimates_sigma() -> None:
     """The innovation of a gust precedes its answer, so that the whitened part is unbiased."""
     samples, gusts = fly(0.02, 0.01)
-    information = Information(STRUCTURE, LAYOUT, start_from(Settings()), 0.1, 0.0, (False, False))
+    information = Information(STRUCTURE, start_from(Settings()), 0.1, 0.0, (False, False))
     rows = RowSamples.of(samples, gusts, LAYOUT)
     answering = answers(1.0, 0.5, 0.5)
     for k in range(0, rows.count, 20):
@@ -251,6 +251,6 @@ def test_the_side_force_does_not_increase_a_priors_sigma() -> None:
         values[STRUCTURE.index(name)] = value
         sigma[STRUCTURE.index(name)] = 0.2 * abs(value)
     start = replace(start, values=values, sigma=sigma)
-    information = Information(STRUCTURE, LAYOUT, start, 0.1)
+    information = Information(STRUCTURE, start, 0.1)
     _, found = information.spread(information.solve(values))
     assert found[0][STRUCTURE.index("rdot/dr")] == pytest.approx(0.8)

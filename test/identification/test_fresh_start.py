@@ -11,7 +11,7 @@ from light_aircraft import TRUTH
 from verdict_flights import carried
 
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
-from uav_ident_ros.identification.estimators.second import known_inputs
+from uav_ident_ros.identification.estimators.estimator import known_inputs
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.structure import STRUCTURES
 

@@ -96,7 +96,7 @@ def added(structure: str, name: str, value: float, **more: Any) -> tuple[Informa
     truth[(problem.place == own.index(name)).all(axis=2) & problem.used] = value
     y = (regressors @ truth[..., None])[..., 0] + rng.normal(size=(problem.rows, 400))
     signals = np.concatenate((0.0 * y[..., None], y[..., None], regressors, regressors), axis=2)
-    information = Information(own, problem, start, correlation_time=0.1, **more)
+    information = Information(own, start, correlation_time=0.1, **more)
     information.add([RowSamples(signals, 0.01)], np.ones(problem.rows))
     return information, start
 

@@ -16,7 +16,7 @@ import numpy as np
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank, DelayEstimate
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
-from uav_ident_ros.identification.estimators.second import SecondEstimator, known_inputs
+from uav_ident_ros.identification.estimators.estimator import SecondEstimator, known_inputs
 from uav_ident_ros.identification.excitation_run import Flying
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, SpikeFilter, grounded
@@ -522,7 +522,7 @@ class OnlineIdentifier:
         if needless or known_inputs(self.estimator).any():
             self._fresh = None
             return
-        fresh = self._fresh or SecondEstimator(self._cold_estimator(), self._layout)
+        fresh = self._fresh or SecondEstimator(self._cold_estimator())
         if fresh.estimator is self.estimator:  # a single estimator was passed in
             return
         self._fresh = fresh

@@ -5,19 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information
+from uav_ident_ros.identification.estimators.estimator import Estimator
+from uav_ident_ros.identification.estimators.information import MODEL_ERROR
 from uav_ident_ros.identification.prior import Start
-from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.scales import MEMORY, ROUNDING, START_TIME, SURE
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings, SettingsError
-from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
-    INPUTS,
-    PRODUCT_COLUMNS,
-    STRUCTURES,
-    BoolArray,
-    FloatArray,
-)
+from uav_ident_ros.identification.structure import PRODUCT_COLUMNS, BoolArray, FloatArray
 
 DEFAULT_GAIN = SURE / START_TIME
 """Diagonal of K relative to the regressors' variances, 1/s: at the end of a cold start exp(-3), a
@@ -80,46 +74,21 @@ def gradient_step(
     return coefficients + (e * length)[:, None] * direction, float(s.max() * dt)
 
 
-class GradientEstimator:
-    """The paper's law, sample by sample; an `Estimator`.
+class GradientEstimator(Estimator):
+    """The paper's law, sample by sample.
 
     The law gives no standard deviations. They are those of an instrumental variable on the same
     samples, widened by the distance from it.
     """
 
     def __init__(self, settings: Settings, start: Start) -> None:
-        structure = STRUCTURES[settings.structure]
+        super().__init__(settings, start, (True,))
         law = settings.gradient
         self._gain = gain_matrix(law.gains, start.values.shape[1])
         self._normalisation = law.normalisation
         self._guarded = law.step == "guarded"
-        self.start = start
-        self.learning: BoolArray = np.ones(3, dtype=bool)
-        # The law computes none of these.
-        self.model_error: FloatArray = np.zeros(3)
-        self.height = 0.0
-        self.answers: FloatArray = np.zeros(len(INPUTS))
-        self.may_answer: BoolArray = np.zeros(3, dtype=bool)
-        self.clear: BoolArray = np.ones(3, dtype=bool)
-        self.changes: list[tuple[int, int]] = []
-        self.rejected: list[tuple[int, int]] = []
-        self.information = Information(
-            structure, layout(structure), start, 2.0 / settings.filter.cutoff, instrumental=(True,)
-        )
-        self.coefficients: FloatArray = start.values.copy()
-        self.sigma: FloatArray = np.where(start.free, start.sigma, 0.0)
-        self.problem = ""
         self._power: FloatArray = np.zeros(start.values.shape[1])
         self._power_time = 0.0
-
-    @property
-    def inputs(self) -> FloatArray:
-        """Control derivatives at fixed measured forces, as in the residuals, shape (3, 4)."""
-        return self.coefficients[:, INPUT_COLUMNS]
-
-    def residual(self, samples: Regression) -> FloatArray:
-        """Return ``y - A f`` of samples, shape (m, 3)."""
-        return samples.residual(self.coefficients)
 
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
@@ -157,19 +126,13 @@ class GradientEstimator:
             )
         if (np.abs(moved) < LARGEST_NUMBER).all():  # NaN fails too
             moved = self._limit(moved)
-            self.coefficients = np.where(self.learning[:, None], moved, self.coefficients)
+            moved = np.where(self.learning[:, None], moved, self.coefficients)
+            self.coefficients = self.linear = moved
         else:
             self.problem = (
                 "the gradient law has diverged and its coefficients are held at the last finite "
                 "values: lower 'gradient.gains' or set 'gradient.step' to 'guarded'"
             )
-
-    def reconfigure(self, settings: Settings) -> None:
-        """Apply the settings that may change in flight: the law has none."""
-
-    def forget(self, weight: float) -> None:
-        """Multiply the information so far by `weight`; the law itself has no memory."""
-        self.information.discount(weight)
 
     def _gain_now(self, f: FloatArray, dt: float) -> FloatArray:
         """Return K in SI units at a sample."""

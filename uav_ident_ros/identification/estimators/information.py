@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.prior import RATE_SIGMA, Start, physical_bounds
-from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
+from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal, layout
 from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     INDEPENDENT_TIME,
@@ -168,22 +168,21 @@ class Information:
     def __init__(
         self,
         structure: Structure,
-        layout: Layout,
         start: Start,  # Initial coefficients, their sigma, flags of the free ones
         correlation_time: float,  # Of the residuals, s: that of the regression's filter
         forgetting_time: float = 0.0,  # Time constant, s; 0 for none; may change at any time
         instrumental: Sequence[bool] = (False,),  # Of each part; least squares if false
     ) -> None:
-        self.layout = layout
+        self.layout = layout(structure)
         self.forgetting_time = forgetting_time
         self._structure = structure
         self._unit_time = correlation_time
         self._instrumental: BoolArray = np.array(instrumental)
-        parts, rows, k = len(instrumental), layout.rows, layout.width
-        self._i, self._j = layout.place[..., 0], layout.place[..., 1]
-        self._used = np.flatnonzero(layout.used)
+        parts, rows, k = len(instrumental), self.layout.rows, self.layout.width
+        self._i, self._j = self.layout.place[..., 0], self.layout.place[..., 1]
+        self._used = np.flatnonzero(self.layout.used)
         self._places = (structure.size * self._i + self._j).ravel()[self._used]
-        self._transform = Transform(structure, layout)
+        self._transform = Transform(structure, self.layout)
         self.start = start
         self.sums = Sums.empty(parts, rows, k)
         # Rows whose regressors are still their own instruments, and the end of that time, s

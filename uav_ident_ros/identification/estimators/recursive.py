@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
+from uav_ident_ros.identification.estimators.estimator import Estimator, SecondEstimator
 from uav_ident_ros.identification.estimators.excitation import ExcitationGate
-from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Information, Solution
+from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Solution
 from uav_ident_ros.identification.estimators.model_error import ModelError, known_without_error
-from uav_ident_ros.identification.estimators.second import SecondEstimator
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
@@ -45,7 +45,7 @@ from uav_ident_ros.identification.structure import (
 _AILERON = INPUTS.index("da")
 
 
-class RecursiveRegression:
+class RecursiveRegression(Estimator):
     """Least squares or instrumental variable, in one pass.
 
     Rows pause in quiet flight, and a change resets the covariance of one control derivative only.
@@ -53,7 +53,7 @@ class RecursiveRegression:
     the instrumental variable. Where only an autopilot moves the surfaces, in answer to gusts, the
     plain estimate is that of the autopilot, the whitened one less so. With excitation they agree.
     The bias of least squares in gusts is many times its own sigma. Sigma therefore covers the
-    distances between the parts. Other members are as in `Estimator`.
+    distances between the parts.
 
     Parameters
     ----------
@@ -66,13 +66,7 @@ class RecursiveRegression:
         least squares.
     """
 
-    def __init__(
-        self,
-        start: Start,
-        settings: Settings,
-        *,
-        instrumental: bool,
-    ) -> None:
+    def __init__(self, start: Start, settings: Settings, *, instrumental: bool) -> None:
         self._structure = STRUCTURES[settings.structure]
         self._layout = layout(self._structure)
         self._error = ModelError(self._layout)
@@ -83,31 +77,13 @@ class RecursiveRegression:
         if start.informative(self._structure).any():
             weak = start.weakened(self._structure)
             blank = RecursiveRegression(weak, settings, instrumental=instrumental)
-            self._reference = SecondEstimator(blank, self._layout)
+            self._reference = SecondEstimator(blank)
         self._power: FloatArray = np.zeros(len(ROWS))  # Mean square of the rates
         self._injected = self._ever_injected = False
-        self.problem = ""
-        self.learning = np.ones(3, dtype=bool)
-        self.changes: list[tuple[int, int]] = []
-        self.rejected: list[tuple[int, int]] = []
-        self.information = Information(
-            self._structure,
-            self._layout,
-            start,
-            2.0 / settings.filter.cutoff,
-            settings.forgetting_time,
-            (True, True) if instrumental else (False, True, True),
-        )
-        self.coefficients: FloatArray = start.values.copy()
-        self.sigma: FloatArray = start.sigma.copy()
-        self._start: Start
-        self.start = start
+        parts = (True, True) if instrumental else (False, True, True)
+        super().__init__(settings, start, parts, settings.forgetting_time)
         self._cutoff = settings.filter.cutoff
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
-        self.clear = self._gate.clear
-        self.answers = self._feedback.share
-        self.may_answer: BoolArray = np.zeros(len(ROWS), dtype=bool)
-        self.model_error, self.height = self._error.share, self._error.height
         self._begin_changes()
         self._solve()
 
@@ -130,10 +106,6 @@ class RecursiveRegression:
             self._reference.estimator.start = start.weakened(self._structure)
         self.coefficients = np.where(start.free, self.coefficients, start.values)
         self.sigma = np.where(start.free, self.sigma, start.sigma)
-
-    def residual(self, samples: Regression) -> FloatArray:
-        """Return ``y - A f`` of samples, shape (m, rows)."""
-        return samples.residual(self._linear)
 
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
@@ -170,7 +142,7 @@ class RecursiveRegression:
         ratio = answers * self._known_a_priori
         # The height has no such knowledge, and chance must not hide it: it biases the aileron.
         rolls = float(answers[0]) if self.answers[_AILERON] else 0.0
-        effect = self._linear[MAIN_DERIVATIVES]
+        effect = self.linear[MAIN_DERIVATIVES]
         settled = self.information.time.max() >= START_TIME
         restarted = samples.restarted
         # In quiet flight the samples contain only gusts and an autopilot's answers.
@@ -242,8 +214,7 @@ class RecursiveRegression:
         if due:
             self._known = solution, covariance
             self.sigma, self._since_sigma = sigma, 0.0
-        self._linear = self._layout.matrix(solution.linear[0])
-        self.inputs = self._linear[: len(ROWS), INPUT_COLUMNS]
+        self.linear = self._layout.matrix(solution.linear[0])
         self.coefficients = values
 
     def _sigma(self, solution: Solution, sigmas: FloatArray) -> FloatArray:
@@ -316,7 +287,7 @@ class RecursiveRegression:
         """Multiply the information so far by `weight`."""
         if self._reference:
             self._reference.estimator.forget(weight)
-        self.information.discount(weight)
+        super().forget(weight)
         self._error = ModelError(self._layout)
         self._begin_changes()
 
