@@ -34,7 +34,7 @@ from uav_ident_ros.identification import (
     scales,
     speed,
 )
-from uav_ident_ros.identification.estimators import change, excitation, information
+from uav_ident_ros.identification.estimators import change, information
 from uav_ident_ros.identification.identifier import START_LEAK_TIME, STRETCH_TIME
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.settings import Settings, declarations
@@ -292,7 +292,7 @@ def test_the_algorithm_page_has_the_constants_of_the_code() -> None:
         f"limited to 1/{speed.LARGEST_RATIO:g} ... {speed.LARGEST_RATIO:g}",
         f"k = {flow.ATTITUDE_GAIN:g} 1/s",
         f"At {100 * flow.GRAVITY_BAND:g} % it does not count at all",
-        f"largest variance over {excitation.WINDOW_TIME:g} s of its inputs",
+        f"largest variance over {gates.EXCITATION_TIME:g} s of its inputs",
         f"eigenvalue below {information.COLLINEAR_EIGENVALUE:.2f} name",
         f"{100 * information.MODEL_ERROR:g} % of the value**",
         f"Beyond {scales.OUTLYING:g} times the usual size",

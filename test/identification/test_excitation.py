@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.estimators.excitation import ExcitationGate
+from uav_ident_ros.identification.gates import ExcitationGate
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.settings import SupervisionSettings
 from uav_ident_ros.identification.structure import STRUCTURES

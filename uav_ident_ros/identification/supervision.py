@@ -10,9 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from uav_ident_ros.identification.estimators import Estimator
-from uav_ident_ros.identification.estimators.excitation import WINDOW_TIME
 from uav_ident_ros.identification.estimators.model_error import sigma_without_error
-from uav_ident_ros.identification.gates import TOO_FAR, TOO_QUIET, Gate, Gates, ResidualGate
+from uav_ident_ros.identification.gates import (
+    EXCITATION_TIME,
+    TOO_FAR,
+    TOO_QUIET,
+    Gate,
+    Gates,
+    ResidualGate,
+)
 from uav_ident_ros.identification.parallel_model import RunningFit
 from uav_ident_ros.identification.residuals import Confirmation
 from uav_ident_ros.identification.scales import MEMORY
@@ -187,7 +193,7 @@ class Supervisor:
             known = self.settings.supervision.min_t_ratio * sigma[i, j] <= abs(coefficients[i, j])
             known = known or sigma[i, j] <= change.sigma
             # sigma is small before that, but from the samples that selected the change
-            if known and t - change.t > WINDOW_TIME:
+            if known and t - change.t > EXCITATION_TIME:
                 del self._relearning[i, j]
             else:
                 why = "contradicts its prior" if change.prior_rejected else "changed in flight"

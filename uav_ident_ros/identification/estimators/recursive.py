@@ -15,9 +15,9 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.estimator import Estimator, SecondEstimator
-from uav_ident_ros.identification.estimators.excitation import ExcitationGate
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Solution
 from uav_ident_ros.identification.estimators.model_error import ModelError, known_without_error
+from uav_ident_ros.identification.gates import ExcitationGate
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
