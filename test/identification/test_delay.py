@@ -64,7 +64,7 @@ def test_without_excitation_the_initial_delay_stays(gusts: float) -> None:
     flight = flying.plant_flight(30.0, segments=(), delay=0.06, gusts=air, autopilot=True)
     identifier = found(flight, actuators__delay=0.04)
     assert identifier.delay == 0.04
-    assert identifier.delay_confidence != "sure"
+    assert identifier.delay_estimate.confidence != "sure"
 
 
 def test_the_delay_of_a_hovering_quadrotor_in_gusts_stays_unsure() -> None:
@@ -80,8 +80,8 @@ def test_the_delay_of_a_hovering_quadrotor_in_gusts_stays_unsure() -> None:
 
 def test_the_delay_is_unknown_before_there_are_data() -> None:
     identifier = OnlineIdentifier(Settings.from_values({"actuators.estimate_delay": True}))
-    assert (identifier.delay, identifier.delay_confidence) == (0.0, "none")
-    assert identifier.delay_sigma == math.inf
+    assert (identifier.delay, identifier.delay_estimate.confidence) == (0.0, "none")
+    assert identifier.delay_estimate.sigma == math.inf
 
 
 def flown_with(
@@ -104,7 +104,7 @@ def test_a_small_delay_error_increases_sigma() -> None:
     setting, off = (flown_with(0.045, setting) for setting in (0.045, 0.02))
     assert setting[1].usable
     assert off[0].delay == 0.02
-    assert off[0].delay_confidence == "none"
+    assert off[0].delay_estimate.confidence == "none"
     for name in ("pdot/da", "qdot/de"):
         assert sigma_of(off[1], name) > 2.0 * sigma_of(setting[1], name)
     assert (flying.light_errors(off[1], "pdot/da", "qdot/de")[1] < 2.0).all()
@@ -148,7 +148,7 @@ def test_coefficients_are_right_after_the_delay_is_corrected() -> None:
     flight = flying.plant_flight(60.0, delay=0.06)
     identifier = found(flight, Sensors(), structure="throttle_coupled")
     assert identifier.delay == pytest.approx(0.06, abs=0.005)
-    assert identifier.delay_confidence == "sure"
+    assert identifier.delay_estimate.confidence == "sure"
     assert flying.worst_error(identifier.estimator.coefficients, flight) < 0.05
 
 
@@ -183,7 +183,7 @@ def test_a_lag_not_separated_from_the_delay_increases_sigma() -> None:
         flown_with(0.02, 0.02, setting, 0.12, 60.0, actuators__estimate_delay=True)
         for setting in (0.0, 0.12)
     )
-    assert hidden.delay_confidence == "sure"
+    assert hidden.delay_estimate.confidence == "sure"
     share, sigmas = flying.light_errors(unsure, "pdot/da")
     assert share > 0.2 and sigmas < 3.0
     assert "servo lag are not separated" in unsure.reason
@@ -206,7 +206,7 @@ def test_the_delay_survives_a_gap_and_a_new_time_base() -> None:
     flying.run(identifier, [broken(message) for message in kept])
     assert identifier.delay == pytest.approx(0.06, abs=0.015)
     identifier.reset()
-    assert (identifier.delay, identifier.delay_confidence) == (0.0, "none")
+    assert (identifier.delay, identifier.delay_estimate.confidence) == (0.0, "none")
 
 
 def test_delay_errors_within_two_sigma_count_as_zero() -> None:
@@ -363,4 +363,4 @@ def test_the_delay_of_the_recorded_flight_is_80_to_120_ms() -> None:
         flown = OfflineRun(choose_inputs(bag, {"actuators.estimate_delay": True}))
         flown.run(bag, lambda messages, _: (m for m in messages if m.log_ns < bag.start_ns + 9e10))
     assert 0.08 <= flown.identifier.delay <= 0.12
-    assert flown.identifier.delay_confidence == "sure"
+    assert flown.identifier.delay_estimate.confidence == "sure"

@@ -236,7 +236,7 @@ class OnlineIdentifier:
         self.sampler.restart()
         self._speed.airspeed.clear()
         self._armed.clear()
-        self.supervisor.restart()
+        self.supervisor.gates.restart()
         self.plausibility.restart()
         self._glitches, self._spikes = GlitchFilter(), SpikeFilter()
         self.intake.restart()
@@ -262,17 +262,8 @@ class OnlineIdentifier:
         return self.sampler.time_constant
 
     @property
-    def delay_sigma(self) -> float:
-        """Standard deviation of the delay in use, s; inf for the configured delay."""
-        return self._delay_estimate.sigma
-
-    @property
-    def delay_confidence(self) -> str:
-        """Confidence in the estimated delay: ``none`` (as configured), ``low`` or ``sure``."""
-        return self._delay_estimate.confidence
-
-    @property
-    def _delay_estimate(self) -> DelayEstimate:
+    def delay_estimate(self) -> DelayEstimate:
+        """Estimate that the delay in use follows; without data for the configured delay."""
         return self.delays.estimate if self.settings.actuators.estimate_delay else NO_ESTIMATE
 
     def _adopt_delay(self, block: Block) -> None:

@@ -90,10 +90,6 @@ class Supervisor:
         self.confirmed = Confirmation()  # Of the main control derivatives, by the flight
         self._sigma: FloatArray = np.full(self._structure.mask.shape, np.inf)
         self.proven = False  # Whether all rows have been usable since the start
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin a new stretch of signals; the results stay."""
         self.gates.restart()
 
     def weigh(

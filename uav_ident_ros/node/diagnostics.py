@@ -91,7 +91,7 @@ def estimate_values(estimate: Estimate, identifier: OnlineIdentifier) -> Iterato
         for axis, fit in zip("pqr", fits, strict=True):
             yield f"{label} {axis} [%]", f"{fit:.1f}"
     yield "delay [s]", f"{identifier.delay:.4f}"
-    yield "delay confidence", identifier.delay_confidence
+    yield "delay confidence", identifier.delay_estimate.confidence
     if (found := identifier.delays.estimate).lag_sure:
         in_use = f"{identifier.lag:.3f} in use"
         yield "servo lag [s]", f"{found.lag:.3f} +- {found.lag_sigma:.3f}, {in_use}"

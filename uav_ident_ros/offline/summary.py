@@ -168,8 +168,8 @@ class Replayed:
                 },
                 "implausible": [found.text for found in identifier.plausibility.noted.values()],
                 "delay": identifier.delay,
-                "delay_sigma": identifier.delay_sigma,
-                "delay_confidence": identifier.delay_confidence,
+                "delay_sigma": identifier.delay_estimate.sigma,
+                "delay_confidence": identifier.delay_estimate.confidence,
                 "servo_lag": _servo_lag(identifier.delays.estimate, identifier.lag),
                 "structure": run.structure.name,
                 "coefficients": {
