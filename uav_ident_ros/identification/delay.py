@@ -345,17 +345,20 @@ class DelayBank:
     def _judge_models(self, signals: _Signals) -> Generator[None, None, bool]:
         """Score and update the models with each lag by a block, in steps; then estimate."""
         self._power *= _KEEP
-        found = []
+        scores = []
         for power, lag, models in zip(self._power, LAGS, self._models, strict=True):
             u = _lagged(signals.u, lag)
             power += u.var(axis=0)
-            found.append(models.score(signals, u[self._pick]))
+            scores.append(models.score(signals, u[self._pick]))
             yield
             models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
             yield
         if signals.injected and self._response.windows > 2 * FEWEST_BLOCKS:
-            yield from self._use_response()
-        errors = [e for e in found if e is not None]  # No score before the first updates
+            found = yield from self._response.find(self.delays, LAGS, APART * STEP)
+            at_lag = yield from self._response.find(self.delays, (self._lag,), APART * STEP)
+            if found is not None and at_lag is not None:
+                self._injected = by_injection(found, at_lag, self._lag)
+        errors = [e for e in scores if e is not None]  # No score before the first updates
         if not errors:
             return False
         self._errors.append(np.stack(errors))
@@ -366,13 +369,6 @@ class DelayBank:
                 bank = replace(bank, total_sigma=max(bank.total_sigma, self._injected.total_sigma))
             self.estimate = self._injected if self._injected.total_sure else bank
         return True
-
-    def _use_response(self) -> Generator[None]:
-        """Update the estimate from the response to the injected signals, if there is one."""
-        found = yield from self._response.find(self.delays, LAGS, APART * STEP)
-        at_lag = yield from self._response.find(self.delays, (self._lag,), APART * STEP)
-        if found is not None and at_lag is not None:
-            self._injected = by_injection(found, at_lag, self._lag)
 
 
 class _Models:

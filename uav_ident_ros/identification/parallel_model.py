@@ -109,7 +109,7 @@ FAILED_PREDICTION = 4.0
 the measurement, a fit of -100 percent. A larger error counts as this one."""
 
 # The sums over samples: count, x, x^2, then squared errors.
-_SPREAD, _MODEL, _HOLD, _SAVED = slice(0, 3), 3, 4, 5
+_SPREAD, _ERRORS, _MODEL, _HOLD, _SAVED = slice(0, 3), slice(3, 6), 3, 4, 5
 
 
 class RunningFit:
@@ -176,20 +176,16 @@ class RunningFit:
             now[_SAVED] = self._error(second, self._saved)
         self.predictions += 1
         self._age += self._time
-        self._add_to_sums(now)
-        self.fit, self.hold, self.saved = _fit(self._sums)
-        if self._saved is None:
-            self.saved = np.zeros(3)
-
-    def _add_to_sums(self, now: FloatArray) -> None:
-        """Add the sums of a second; older ones fade."""
         sums = self._sums
         sums *= np.exp(-self._time / min(MEMORY, 0.5 * self._age))
         sums += now
-        typical = _spread(sums) * now[0] / sums[0]
-        failed = FAILED_PREDICTION * np.maximum(_spread(now), typical)
-        errors = slice(_SPREAD.stop, None)
-        sums[errors] -= np.maximum(now[errors] - failed, 0.0)
+        spread = _spread(sums)
+        failed = FAILED_PREDICTION * np.maximum(_spread(now), spread * now[0] / sums[0])
+        sums[_ERRORS] -= np.maximum(now[_ERRORS] - failed, 0.0)
+        ratio = np.divide(sums[_ERRORS], spread, out=np.ones((3, 3)), where=spread > 0.0)
+        self.fit, self.hold, self.saved = 100.0 * (1.0 - np.sqrt(ratio))
+        if self._saved is None:
+            self.saved = np.zeros(3)
 
     def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
         """Return the sum of the squared errors of a prediction, shape (3,)."""
@@ -201,10 +197,3 @@ def _spread(sums: FloatArray) -> FloatArray:
     """Return the sum of the squared deviations from the mean, shape (3,)."""
     count, total, square = sums[_SPREAD]
     return np.asarray(np.maximum(square - total * total / count, 0.0))
-
-
-def _fit(sums: FloatArray) -> FloatArray:
-    """Return fits in percent of model, holding and saved, shape (3, 3)."""
-    errors, spread = sums[_SPREAD.stop :], _spread(sums)
-    ratio = np.divide(errors, spread, out=np.ones_like(errors), where=spread > 0.0)
-    return np.asarray(100.0 * (1.0 - np.sqrt(ratio)))

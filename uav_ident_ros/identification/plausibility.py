@@ -540,7 +540,7 @@ class SetupErrors:
         determined the sum of delay and lag, lag and delay differ by ``(a T)^2 / 2`` only. The error
         of the sum in use then adds a term of first order.
         """
-        hidden, damped = estimate.hidden, self._damping(values)
+        hidden, damped = estimate.hidden, damping(self._structure, values, self._airspeed)
         share, missed, cure = np.abs(hidden * damped), 0.0, "or excite the aircraft (~/excite)"
         if estimate.from_injected:
             share, cure = 0.5 * share**2, "or go on with the excitation"
@@ -561,12 +561,8 @@ class SetupErrors:
         On an axis with the damping a, an input that is late by T has the apparent effect
         1 / (1 + a T): to first order the relative bias is ``a T``.
         """
-        share = np.abs(time * self._damping(values))
+        share = np.abs(time * damping(self._structure, values, self._airspeed))
         return np.asarray(share[:, None] * np.abs(values[: len(ROWS)]))
-
-    def _damping(self, values: FloatArray) -> FloatArray:
-        """Return the damping of each axis, 1/s, (3,)."""
-        return damping(self._structure, values, self._airspeed)
 
     def _height_error(self, values: FloatArray, height: float) -> SetupError:
         """Return the bias by an accelerometer at a height h, m, above `imu.lever_arm`.

@@ -79,7 +79,15 @@ class Autoregression:
         signals = np.concatenate((self._past, new), axis=1)
         self._past = signals[:, -ORDER:]
         m = new.shape[1]
-        self._learn(signals[:, :, 0], dt)
+        self._time += m * dt
+        share = min(m * dt / min(self._time, MEMORY), 1.0)
+        first = signals[:, :, 0]
+        products = (first[:, _lags(m)] @ first[:, ORDER:, None])[:, :, 0]
+        self._covariances += share * (products / m - self._covariances)
+        self._since_fit += m * dt
+        if self._since_fit >= LOOK_TIME:
+            self._since_fit = 0.0
+            self._fit()
         if m not in self._matrices:
             matrix = self._matrices[m] = np.zeros((len(self.weights), m, ORDER + m))
             for k in range(m):
@@ -90,20 +98,6 @@ class Autoregression:
             white[:, : ORDER - self._known] = 0.0
             self._known += m
         return np.asarray(white)
-
-    def _learn(self, signals: FloatArray, dt: float) -> None:
-        """Update the autocovariances by signals (rows, ORDER + m), the first `ORDER` known."""
-        new = signals[:, ORDER:]
-        m = new.shape[1]
-        self._time += m * dt
-        share = min(m * dt / min(self._time, MEMORY), 1.0)
-        lagged = signals[:, _lags(m)]
-        products = (lagged @ new[:, :, None])[:, :, 0]
-        self._covariances += share * (products / m - self._covariances)
-        self._since_fit += m * dt
-        if self._since_fit >= LOOK_TIME:
-            self._since_fit = 0.0
-            self._fit()
 
     def _fit(self) -> None:
         """Solve the Yule-Walker equations."""

@@ -389,7 +389,11 @@ class Intake:
         if name == ACTUATORS:
             t_ns = self.clock_steps.corrected(t_ns, self.newest_ns)
         stream, buffer = self._streams[name], self._buffers[name]
-        problem = value_problem(values, stream.width, stream.largest) or self._stamp_problem(t_ns)
+        problem = value_problem(values, stream.width, stream.largest) or time_problem(t_ns)
+        if problem is None and self._jumped(t_ns):
+            problem = Drop.CLOCK_MISMATCH
+        elif problem is None and t_ns <= self.last_tick_ns:
+            problem = Drop.LATE
         if name == ACTUATORS:
             self._follow_clock(t_ns, problem)
         if problem is Drop.LATE and stream.kept_if_late:
@@ -405,15 +409,6 @@ class Intake:
         if problem is not None:
             self.drops[name][problem] += 1
         return problem
-
-    def _stamp_problem(self, t_ns: int) -> Drop | None:
-        """Return the problem of a stamp relative to the rates' stamps; None if there is none."""
-        problem = time_problem(t_ns)
-        if problem is not None:
-            return problem
-        if self._jumped(t_ns):
-            return Drop.CLOCK_MISMATCH
-        return Drop.LATE if t_ns <= self.last_tick_ns else None
 
     def _follow_clock(self, t_ns: int, problem: Drop | None) -> None:
         """Set or clear the fault that the actuators are stamped by another clock."""

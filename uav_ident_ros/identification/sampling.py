@@ -280,9 +280,13 @@ class Sampler:
         self.waiting_for = self._missing()
         if self.waiting_for:
             return
-        first_ns = 0
-        for first_ns, last_ns in self._runs():
-            yield from self._cut(first_ns, last_ns)
+        t, breaks = self.rates.t, []
+        if t[-1] - t[0] > self._max_gap_ns:
+            breaks = np.flatnonzero(t[1:] - t[:-1] > self._max_gap_ns).tolist()
+        # From gap to gap
+        for begin, end in zip([0, *(i + 1 for i in breaks)], [*breaks, -1], strict=True):
+            first_ns = int(t[begin])
+            yield from self._cut(first_ns, int(t[end]))
         # Samples before the next cell are not needed; a run of one sample has no cell yet.
         needed = first_ns if self._edge_ns is None else max(first_ns, self._edge_ns)
         self.rates.trim(needed)
@@ -346,14 +350,6 @@ class Sampler:
         self.input_map.trim = mean[0]
         self._trim_known = True
         return True
-
-    def _runs(self) -> Iterator[tuple[int, int]]:
-        """Yield first and last stamp of the stretches of rates without a gap, in order."""
-        t, breaks = self.rates.t, []
-        if t[-1] - t[0] > self._max_gap_ns:
-            breaks = np.flatnonzero(t[1:] - t[:-1] > self._max_gap_ns).tolist()
-        for start, end in zip([0, *(i + 1 for i in breaks)], [*breaks, -1], strict=True):
-            yield int(t[start]), int(t[end])
 
     def _cut(self, first_ns: int, last_ns: int) -> Iterator[Block]:
         """Yield the blocks within one gap-free stretch, cut where the inputs are unknown."""

@@ -238,8 +238,13 @@ class Information:
         answering: FloatArray | None = None,
     ) -> None:
         """Add the samples of each part, as `Sums.add`; a row of weight 0 stays as it is."""
-        if self.warming_up.any():
-            self._end_warm_up(self.warming_up & (self.time.max() >= self._warm_at))
+        if (rows := self.warming_up & (self.time.max() >= self._warm_at)).any():
+            # These rows begin with instruments; their sums without them fade.
+            self.warming_up = self.warming_up & ~rows
+            self._faded[rows] = 1.0
+            moved = self._instrumental[:, None] & rows
+            self._fading.table[moved] = self.sums.table[moved]
+            self.sums.table[moved] = 0.0
         stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
         plain = self._plain
         stack.z[plain] = stack.f[plain]
@@ -267,14 +272,6 @@ class Information:
     def _plain(self) -> BoolArray:
         """Flags of the regressors that are their own instruments, (parts, rows)."""
         return ~self._instrumental[:, None] | self.warming_up
-
-    def _end_warm_up(self, rows: BoolArray) -> None:
-        """Begin with instruments in some rows; the sums without them fade."""
-        self.warming_up = self.warming_up & ~rows
-        self._faded[rows] = 1.0
-        moved = self._instrumental[:, None] & rows
-        self._fading.table[moved] = self.sums.table[moved]
-        self.sums.table[moved] = 0.0
 
     def begin_anew(self, rows: BoolArray) -> None:
         """Clear the information of some rows, (rows,), when an excitation begins."""
