@@ -66,17 +66,15 @@ class Setting:
                 wanted = f"that is an integer: write {float(typing.cast(int, value))}"
             raise SettingsError(f"'{self.name}' is {value!r}: {wanted}")
         for entry in value if isinstance(value, tuple) else (value,):
-            self._check_entry(entry, value)
-        return typing.cast(Value, value)
-
-    def _check_entry(self, entry: object, value: object) -> None:
-        if isinstance(entry, str):
-            if self.choices and entry not in self.choices:
+            if not isinstance(entry, str):
+                number = float(typing.cast(float, entry))
+                if not self.low <= number <= self.high:  # NaN fails too
+                    raise SettingsError(f"'{self.name}' is {value!r}: allowed is {self.allowed()}")
+            elif self.choices and entry not in self.choices:
                 allowed = f"allowed are {', '.join(self.choices)}"
                 hint = f"; {meant}" if (meant := nearest(entry, self.choices)) else ""
                 raise SettingsError(f"'{self.name}' is '{entry}': {allowed}{hint}")
-        elif not self.low <= float(typing.cast(float, entry)) <= self.high:  # NaN fails too
-            raise SettingsError(f"'{self.name}' is {value!r}: allowed is {self.allowed()}")
+        return typing.cast(Value, value)
 
     def allowed(self) -> str:
         """Return a text of the allowed values, with the unit."""
@@ -86,7 +84,7 @@ class Setting:
             return "any"
         unit = f" {self.unit}" if self.unit else ""
         low, high = (f"{bound:g}" for bound in (self.low, self.high))
-        if math.isinf(self.low) and math.isinf(self.high):
+        if not self.bounded:
             return f"any finite value{unit}"
         if math.isinf(self.high):
             return f"{low}{unit} or more"
@@ -124,15 +122,12 @@ _KINDS: dict[str, tuple[Callable[[object], bool], str]] = {
 }
 """For each type of a setting: its test, and the advice if a value fails it."""
 
-_TYPES: dict[object, str] = {
-    bool: "bool",
-    int: "int",
-    float: "float",
-    str: "str",
-    tuple[float, ...]: "float[]",
-    tuple[str, ...]: "str[]",
-    tuple[int, ...] | tuple[str, ...]: "int[]|str[]",
+_ARRAYS = {
+    "tuple[float, ...]": "float[]",
+    "tuple[str, ...]": "str[]",
+    "tuple[int, ...] | tuple[str, ...]": "int[]|str[]",
 }
+"""Types of arrays by their annotations; those of single values are alike."""
 
 
 def _setting(
@@ -566,13 +561,12 @@ def declarations() -> tuple[Setting, ...]:
 
 
 def _declarations(cls: type, prefix: str) -> Iterator[Setting]:
-    hints = typing.get_type_hints(cls)
     for item in fields(cls):
-        name, hint = prefix + item.name, hints[item.name]
-        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-            yield from _declarations(hint, f"{name}.")
+        name, hint = prefix + item.name, str(item.type)
+        if "setting" in item.metadata:
+            yield replace(item.metadata["setting"], name=name, type=_ARRAYS.get(hint, hint))
         else:
-            yield replace(item.metadata["setting"], name=name, type=_TYPES[hint])
+            yield from _declarations(typing.cast(type, item.default_factory), f"{name}.")
 
 
 def _with(group: Any, path: Sequence[str], value: Value) -> Any:
