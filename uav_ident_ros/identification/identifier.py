@@ -58,7 +58,7 @@ from uav_ident_ros.identification.scales import (
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling, slowest
 from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
-from uav_ident_ros.identification.supervision import JUDGED_FROM, State, Supervisor, Verdict
+from uav_ident_ros.identification.supervision import JUDGED_FROM, State, Supervisor
 
 STRETCH_TIME = 4.0 * SAMPLE_TIME
 """Duration of the samples in one update, s: the cost of an update hardly depends on their number.
@@ -606,7 +606,17 @@ class OnlineIdentifier:
             self._shown = self._coefficients().copy(), self._sigma * self._speed.scale
         coefficients, sigma = self._shown
         if self._news:
-            self._verdict = self._new_verdict(t_ns * NS, coefficients, sigma)
+            if self.settings.supervision.plausibility:
+                self.plausibility.judge(coefficients, sigma)
+            self._verdict = self.supervisor.judge(
+                t_ns * NS,
+                coefficients,
+                sigma,
+                self.running_fit,
+                self.estimator.model_error,
+                self.setup_doubts,
+                math.inf if self._warm else self._learned_time,
+            )
         self._news = False
         # Samples may be slower than ticks: one tick without a block does not count as waiting.
         patience = 0.0 if self._as_paper else self.settings.filter.max_gap / NS
@@ -653,16 +663,6 @@ class OnlineIdentifier:
         """For each moment row the setting that biases it beyond the verdict's limit; '' if none."""
         needed = self.settings.supervision.min_t_ratio
         return self._setup_errors.denied(self.estimator.coefficients, needed)
-
-    def _new_verdict(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> Verdict:
-        """Return a new verdict, after an update or a score."""
-        if self.settings.supervision.plausibility:
-            self.plausibility.judge(coefficients, sigma)
-        learned_time = math.inf if self._warm else self._learned_time
-        error, denied = self.estimator.model_error, self.setup_doubts
-        return self.supervisor.judge(
-            t, coefficients, sigma, self.running_fit, error, denied, learned_time
-        )
 
     def _state(self, fed: bool) -> tuple[State, str]:
         """Return the state and its reason; faults come first, then missing samples."""

@@ -141,7 +141,12 @@ def modes(
 ) -> list[Mode]:
     """Return the modes of a model with flow angles, longitudinal ones first."""
     a, _ = linearise(structure, values, condition)
-    spread = _spread_of(structure, values, sigma, condition)
+    variance = np.zeros_like(a)  # Of A, for independent coefficients
+    for index in structure.free:
+        moved = values.copy()
+        moved[index] += sigma[index]
+        variance += (linearise(structure, moved, condition)[0] - a) ** 2
+    spread = np.sqrt(variance)
     found = []
     for part, name in ((LONGITUDINAL, "longitudinal"), (LATERAL, "lateral")):
         pick = np.ix_(part, part)
@@ -171,19 +176,6 @@ def level_modes(
             return modes(structure, values, sigma, level_flight(structure, values, airspeed))
     except np.linalg.LinAlgError:
         return []
-
-
-def _spread_of(
-    structure: Structure, values: FloatArray, sigma: FloatArray, condition: Condition
-) -> FloatArray:
-    """Return the standard deviations of A, shape (6, 6), for independent coefficients."""
-    base, _ = linearise(structure, values, condition)
-    variance = np.zeros_like(base)
-    for index in structure.free:
-        moved = values.copy()
-        moved[index] += sigma[index]
-        variance += (linearise(structure, moved, condition)[0] - base) ** 2
-    return np.sqrt(variance)
 
 
 def _names(part: str, eigenvalues: list[complex]) -> list[str]:

@@ -154,8 +154,6 @@ class Plausibility:
     @property
     def findings(self) -> list[Finding]:
         """Present findings, faults first."""
-        if not self._found and self._doubt is None:  # nearly always
-            return []
         found = [f for _, f in self._found.values()]
         if self._doubt is not None and self._doubt.confirmed:
             found.append(self._doubt.finding)
@@ -164,7 +162,8 @@ class Plausibility:
     @property
     def fault(self) -> str:
         """Text of the first fault; empty if there is none."""
-        return next((f.text for f in self.findings if f.fault), "")
+        doubt = self._doubt.finding.text if self._doubt and self._doubt.confirmed else ""
+        return self.signal_fault or doubt
 
     @property
     def signal_fault(self) -> str:

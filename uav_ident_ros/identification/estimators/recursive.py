@@ -89,17 +89,17 @@ class RecursiveRegression(Estimator):
 
     def _begin_changes(self) -> None:
         """Restart the change detection."""
-        self._detector = ChangeDetector(self._start.free[:3], self._cutoff)
+        self._detector = ChangeDetector(self.start.free[:3], self._cutoff)
         self._since_sigma = np.inf
 
     @property
     def start(self) -> Start:
         """Initial coefficients, their standard deviations, and flags of the free ones."""
-        return self._start
+        return self.information.start
 
     @start.setter
     def start(self, start: Start) -> None:
-        self._start = self.information.start = start
+        self.information.start = start
         inputs_known = start.known_a_priori(self._structure)[: len(ROWS), INPUT_COLUMNS]
         self._known_a_priori = inputs_known.any(axis=1)
         if self._reference:
@@ -233,7 +233,7 @@ class RecursiveRegression(Estimator):
         main = MAIN_DERIVATIVES
         sigma[main] = np.hypot(sigma[main], self._error.share * own[main])
         sigma = np.hypot(sigma, MODEL_ERROR * own)
-        return np.where(self._start.free, sigma, self._start.sigma)
+        return np.where(self.start.free, sigma, self.start.sigma)
 
     # -- rejection of priors ----------------------------------------------------------------
 
@@ -244,7 +244,7 @@ class RecursiveRegression(Estimator):
         includes feedback. It needs inputs that stand out from disturbances. For main control
         derivatives that sigma is right from the first seconds on.
         """
-        start = self._start
+        start = self.start
         off = np.abs(reference.coefficients - start.values)
         sure = off > DOUBTLESS * np.hypot(reference.sigma, start.sigma)
         clear = self._row_weights(1.0 * reference.clear) > 0.0
@@ -271,9 +271,9 @@ class RecursiveRegression(Estimator):
             self._begin_changes()
             self.rejected.append((row, int(MAIN_COLUMNS[row])))
         self.changes += self.rejected
-        self.start = self._start.weakened(self._structure, against)
+        self.start = self.start.weakened(self._structure, against)
         self._since_sigma = np.inf
-        if not self._start.informative(self._structure).any():
+        if not self.start.informative(self._structure).any():
             self._reference, self._feedback = None, reference._feedback
 
     def reconfigure(self, settings: Settings) -> None:
@@ -338,9 +338,9 @@ class RecursiveRegression(Estimator):
         moved = moved * information.free[row]
         at = rows[moved != 0.0], columns[moved != 0.0]
         # No prior holds the coefficients at their former values.
-        sigma = self._start.sigma.copy()
+        sigma = self.start.sigma.copy()
         sigma[at] = weak[at]
-        self.start = replace(self._start, sigma=sigma)
+        self.start = replace(self.start, sigma=sigma)
         known, covariances = self._known  # whitened
         mean, transform = known.linear[1, row].copy(), known.transform[row]
         covariance = transform @ covariances[1, row] @ transform.T
