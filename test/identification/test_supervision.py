@@ -108,9 +108,10 @@ def test_evidence_against_an_unknown_estimate_does_not_count_against_a_known_one
 
     def doubt(sigma: FloatArray) -> str:
         running = identifier.running_fit
-        return supervisor.judge(
+        supervisor.judge(
             35.0, estimator.coefficients, sigma, running, np.zeros(3), [""] * 3, np.inf
-        )[0]
+        )
+        return supervisor.verdict[0]
 
     assert doubt(estimator.sigma).startswith("pdot/da is contradicted")
     assert doubt(np.abs(estimator.coefficients)).startswith("pdot/da has a t-ratio of 1.0")

@@ -608,7 +608,7 @@ class OnlineIdentifier:
         if self._news:
             if self.settings.supervision.plausibility:
                 self.plausibility.judge(coefficients, sigma)
-            self._verdict = self.supervisor.judge(
+            self.supervisor.judge(
                 t_ns * NS,
                 coefficients,
                 sigma,
@@ -623,7 +623,7 @@ class OnlineIdentifier:
         fed = t_ns - self._fed_ns <= patience
         state, why = self._state(fed)
         sound = state is not State.FAULT and self.speed_believed and not self.plausibility.doubted
-        p, q, r = (sound and not reason for reason in self._verdict)
+        p, q, r = (sound and not reason for reason in self.supervisor.verdict)
         predicted, flow = self._frame.to_imu(self._parallel.model.state[:3]), self._parallel.flow
         newest = np.zeros(3) if self._newest_rates is None else self._newest_rates
         return Estimate(
@@ -673,7 +673,7 @@ class OnlineIdentifier:
             return State.WAITING, f"waiting for {self.sampler.waiting_for or 'samples'}"
         if not self._speed.known:
             return State.WAITING, "waiting for airspeed"
-        return self.supervisor.state(self._verdict)
+        return self.supervisor.state()
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)

@@ -50,10 +50,6 @@ class State(StrEnum):
     FAULT = "fault"
 
 
-Verdict = tuple[str, str, str]
-"""Reason why a controller may not use the row, for pdot, qdot, rdot; empty where it is usable."""
-
-
 class Change(NamedTuple):
     """A coefficient that changed in flight, or whose initial value the flight contradicts."""
 
@@ -89,6 +85,8 @@ class Supervisor:
         self._learned: BoolArray = np.ones(3, dtype=bool)
         self.confirmed = Confirmation()  # Of the main control derivatives, by the flight
         self._sigma: FloatArray = np.full(self._structure.mask.shape, np.inf)
+        # Reason why a controller may not use each row; empty where it is usable
+        self.verdict: tuple[str, ...] = ("",) * len(ROWS)
         self.proven = False  # Whether all rows have been usable since the start
         self.gates.restart()
 
@@ -147,12 +145,12 @@ class Supervisor:
         model_error: FloatArray,
         denied: Sequence[str],  # Reason against each row by wrong settings; empty if none
         learned_time: float,  # Since a cold start, s; inf after a warm one
-    ) -> Verdict:
-        """Return the verdict on the coefficients, row by row.
+    ) -> None:
+        """Renew the verdict on the coefficients, row by row.
 
         A row is usable if it has lately predicted the next second better than holding the rate
         does. Its main control derivative must have a small sigma, and must have been confirmed
-        recently by the motion of its input.
+        recently by the motion of its input. Evidence against one that is not known is cleared.
         """
         self._sigma = sigma
         young = "" if running.predictions else "no prediction of one second is complete yet"
@@ -168,7 +166,7 @@ class Supervisor:
             if doubt:
                 self.confirmed.forget_contradictions(i)
         relearning = self._relearned(t, coefficients, sigma)
-        first, second, third = (
+        self.verdict = tuple(
             relearning.get(i)
             or denied[i]
             or young
@@ -179,8 +177,7 @@ class Supervisor:
             or self.confirmed.doubt(i)
             for i in range(len(ROWS))
         )
-        self.proven = self.proven or not (first or second or third)
-        return first, second, third
+        self.proven = self.proven or not any(self.verdict)
 
     def _relearned(self, t: float, coefficients: FloatArray, sigma: FloatArray) -> dict[int, str]:
         """Return the reason against each row with a coefficient that is learned anew."""
@@ -196,11 +193,11 @@ class Supervisor:
                 reasons[i] = f"{change.name} {why} and is learned anew"
         return reasons
 
-    def state(self, verdict: Verdict) -> tuple[State, str]:
+    def state(self) -> tuple[State, str]:
         """Return the state, and the reason why it is not learning or not usable."""
         if self.gates.closed:
             return State.PAUSED, self.gates.closed
-        reason = "; ".join(dict.fromkeys(filter(None, verdict)))
+        reason = "; ".join(dict.fromkeys(filter(None, self.verdict)))
         if True not in self._learned.tolist():
             reasons = [*sorted(set(self.pauses().values())), reason]
             return State.PAUSED, "; ".join(filter(None, reasons))
