@@ -55,7 +55,7 @@ class Flight:
         samples = Regression.of(measured[None], f, f, DT)
         sample = RowSamples.of(samples, (measured - estimated)[None], LAYOUT)
         white = self._noise.whiten(sample, restarted=self.restarted)
-        effect = LAYOUT.main_effect(ESTIMATED, white)
+        effect = LAYOUT.main_effect(np.pad(ESTIMATED, ((0, 0), (8, 3))), white)
         variance = self._noise.variance
         self.confirmed.add(
             white, effect, variance, self.max_age, self.answers, restarted=self.restarted

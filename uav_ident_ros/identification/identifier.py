@@ -490,7 +490,7 @@ class OnlineIdentifier:
         rows = RowSamples.of(samples, residual, self._layout)
         white = self._noise.whiten(rows, restarted=samples.restarted)
         weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
-        effect = self._layout.main_effect(estimator.inputs, white)
+        effect = self._layout.main_effect(estimator.linear, white)
         supervisor.confirmed.add(
             white,
             effect,

@@ -34,6 +34,7 @@ from uav_ident_ros.identification.structure import (
     INPUTS,
     LAST_COLUMNS,
     MAIN_COLUMNS,
+    MAIN_DERIVATIVES,
     RATE_COLUMNS,
     ROWS,
     STATE_COLUMNS,
@@ -51,8 +52,6 @@ _FLOW_STATE = np.r_[RATE_COLUMNS, LAST_COLUMNS]
 
 _TURNING = np.array([1.0, -1.0])
 """Signs of p times the other angle, less r or q, in the rate of sideslip and angle of attack."""
-
-_MOMENTS, _MAIN_INPUTS = np.arange(len(ROWS)), MAIN_COLUMNS - INPUT_COLUMNS.start
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ class Layout:
     @cached_property
     def driven_by(self) -> NDArray[np.intp]:
         """Input of each instrument, (rows, k): itself, or else the row's main input."""
-        main = _MAIN_INPUTS
+        main = MAIN_COLUMNS - INPUT_COLUMNS.start
         rows = np.array([*main, main[2], main[1]])[: self.rows]  # side force by rudder, lift by de
         own = self.index - INPUT_COLUMNS.start
         return np.where((own >= 0) & (own < len(INPUTS)), own, rows[:, None])
@@ -94,10 +93,10 @@ class Layout:
         places = self.place[len(ROWS) : len(ROWS) + 1]
         return [row[:, 1].tolist().index(RATE_COLUMNS.start) for row in places]
 
-    def main_effect(self, inputs: FloatArray, samples: RowSamples) -> FloatArray:
-        """Return effects (3, m) of the main inputs in samples, by derivatives `inputs` (3, 4)."""
-        derivatives = inputs[_MOMENTS, _MAIN_INPUTS]
-        return np.asarray(derivatives[:, None] * samples.f[_MOMENTS, :, self.main])
+    def main_effect(self, linear: FloatArray, samples: RowSamples) -> FloatArray:
+        """Return effects (3, m) of the main inputs in samples, by coefficients (rows, c)."""
+        inputs = samples.f[MAIN_DERIVATIVES[0], :, self.main]
+        return np.asarray(linear[MAIN_DERIVATIVES][:, None] * inputs)
 
     @cached_property
     def signals(self) -> tuple[NDArray[np.intp], FloatArray]:

@@ -24,7 +24,6 @@ from uav_ident_ros.identification.residuals import Autoregression
 from uav_ident_ros.identification.scales import INDEPENDENT_TIME, SURE
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
     INPUTS,
     MAIN_DERIVATIVES,
     ROWS,
@@ -94,11 +93,6 @@ class Estimator:
         self.answers: FloatArray = np.zeros(len(INPUTS))
         self.may_answer: BoolArray = np.zeros(len(ROWS), dtype=bool)
         self.start = start
-
-    @property
-    def inputs(self) -> FloatArray:
-        """Control derivatives at fixed measured forces, as in the residuals, shape (3, 4)."""
-        return self.linear[: len(ROWS), INPUT_COLUMNS]
 
     def residual(self, samples: Regression) -> FloatArray:
         """Return ``y - A f`` of m samples, shape (m, rows)."""
