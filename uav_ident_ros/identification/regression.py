@@ -263,10 +263,9 @@ class RowSamples:
         return rows
 
     @classmethod
-    def join(cls, parts: Sequence[RowSamples], newest: int) -> Self:
-        """Join consecutive samples, and return the `newest` of them."""
-        signals = np.concatenate([part.signals for part in parts], axis=-2)
-        return cls(signals[..., max(signals.shape[-2] - newest, 0) :, :], parts[-1].dt)
+    def join(cls, parts: Sequence[RowSamples]) -> Self:
+        """Join consecutive samples."""
+        return cls(np.concatenate([part.signals for part in parts], axis=-2), parts[-1].dt)
 
     def times(self, share: float) -> RowSamples:
         """Return the samples with their instruments times `share`."""

@@ -123,7 +123,7 @@ class ModelError:
         """Add the collected samples as a block."""
         parts, weights = zip(*self._gathered, strict=True)
         self._gathered.clear()
-        samples = RowSamples.join(parts, sum(part.count for part in parts))
+        samples = RowSamples.join(parts)
         rows = slice(len(self._entries))
         weight = np.repeat(weights, [part.count for part in parts], axis=0).T
         weight = weight[[0, 1, 2, 0][rows]]  # the row of ay is excited by roll
