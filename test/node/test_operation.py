@@ -18,6 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.files.coefficients_file import load_coefficients
+from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.node.identifier_node import MOST_WAITING, IdentifierNode
 from uav_ident_ros.player import Player
 from uav_ident_ros.ros import to_stamp
@@ -73,7 +74,8 @@ def test_save_writes_the_published_coefficients_and_diagnostics_score_them(
     assert float(values["saved fit p [%]"]) != 0.0
     fit = newest.position[list(newest.name).index("fit/q")]
     assert float(values["fit q [%]"]) == pytest.approx(fit, abs=0.06)
-    assert 0.0 < float(values["excitation qdot [0..1]"]) <= 1.0
+    excitation = [float(values[f"excitation {row} [0..1]"]) for row in ROWS]
+    assert 0.0 < max(excitation) <= 1.0, excitation
     assert values["changed in flight"] == "nothing"
     assert 0.0 < float(values["ticks: update time p99 [ms]"]) < 1000.0
     for stream, topic in (
