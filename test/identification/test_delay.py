@@ -361,6 +361,6 @@ def test_the_errors_must_rise_clearly_within_75_ms_of_the_minimum(rise: float, s
 def test_the_delay_of_the_recorded_flight_is_80_to_120_ms() -> None:
     with Bag(REAL_FLIGHT) as bag:
         flown = OfflineRun(choose_inputs(bag, {"actuators.estimate_delay": True}))
-        flown.run(bag, lambda messages, _: (m for m in messages if m.log_ns < bag.start_ns + 9e10))
+        flown.run(bag, lambda messages, _: (m for m in messages if m.log_ns < bag.start_ns + 8e10))
     assert 0.08 <= flown.identifier.delay <= 0.12
     assert flown.identifier.delay_estimate.confidence == "sure"

@@ -24,9 +24,11 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-ATTITUDE_GAIN = 0.3
-"""Gain of the correction by the accelerometer, 1/s. In its time constant of 3 s the gyro drifts by
-less than a degree; an unmodelled acceleration in a turn seldom lasts so long."""
+ATTITUDE_GAIN = 0.1
+"""Gain of the correction by the accelerometer, 1/s. A sideslip that changes looks like a turn of
+gravity: at 3 rad/s it enters the flow angle with 3 %, and yaw damping with as much. In the time
+constant of 10 s an unknown bias of the gyro turns the attitude by a few degrees, until it is known.
+"""
 
 GRAVITY_BAND = 0.3
 """Relative difference of the corrected specific force from gravity at which the correction has no
