@@ -189,6 +189,14 @@ def switching(step: float, drift: float = 0.0, every: int = 2, rate: float = 50.
     return plain(de=lambda k: step * (k % every == every - 1) + drift * (k % 300), rate=rate)
 
 
+def oscillating(reversed_: int) -> Signals:
+    """An input with so many steps in 2 s that the next sample takes back, and two that it keeps."""
+    period = np.zeros(100)
+    period[3 : 3 + 4 * reversed_ : 4] = 1.0
+    period[-6:-4] = 1.0, -1.0
+    return plain(de=lambda k: period[k.astype(int) % len(period)])
+
+
 def pulse_widths(k: FloatArray) -> FloatArray:
     """Pulse widths of an elevator that is not armed at first."""
     return (1500.0 + 25.0 * np.sin(k)) * (k > 300)
@@ -238,6 +246,8 @@ BORDERS: list[tuple[str, Callable[[], Signals], dict[str, Any]]] = [
     ("publishers", lambda: switching(0.08, 0.01), {}),
     ("", lambda: switching(1.0, every=14), {}),
     ("publishers", lambda: switching(1.0, every=7), {}),
+    ("", lambda: oscillating(17), {}),
+    ("publishers", lambda: oscillating(19), {}),
     # an oscillation at half the rate of slow inputs is not distinguishable
     ("", lambda: switching(1.0, rate=16.0), {}),
     ("publishers", lambda: switching(1.0, rate=24.0), {}),

@@ -86,7 +86,9 @@ STEP = 0.02
 """Smallest step of an input that is not noise, rad or throttle."""
 
 RETURNING_SHARE = 0.1
-"""Share of samples reversed by the next one from which there are two publishers."""
+"""Share of samples reversed by the next one from which there are two publishers. All but as large a
+share of the samples that differ from both neighbours are then reversed: with two publishers 95 % and
+more, in the oscillations of real multirotors 35 to 83 %."""
 
 
 @dataclass(frozen=True)
@@ -402,9 +404,11 @@ def _interleaved(name: str, u: FloatArray) -> Finding | None:
     if np.count_nonzero(away > STEP) < RETURNING_SHARE * len(away):  # nearly always
         return None
     over_two = np.abs(u[2:] - u[:-2])
-    returns = away > np.maximum(SURE * np.maximum(over_two, np.median(over_two)), STEP)
+    differ = away > max(SURE * float(np.median(over_two)), STEP)
+    returns = differ & (away > SURE * over_two)
     share = float(np.mean(returns))
-    if share < RETURNING_SHARE:
+    # An oscillation reverses only some of its steps.
+    if share < RETURNING_SHARE or returns.sum() < (1.0 - RETURNING_SHARE) * differ.sum():
         return None
     return Finding(
         "publishers",
