@@ -62,6 +62,7 @@ def test_another_speed_scales_gains_and_surface_excitation() -> None:
         (TEXT.replace("pitch_gain: 0.2", "pitch_gain: low"), "pitch_gain is 'low': a finite"),
         (TEXT.replace("{de: 0.08, dth: 0.1}", "0.1"), "excitation must be a mapping with de, dr"),
         (TEXT.replace("dth: 0.1", "flap: 0.1"), "excitation has an unknown entry 'flap'"),
+        (TEXT + "speed: 60.0\n", "line 7: 'speed' is there twice: keep one of the two"),
         ("[1, 2]", "no entries like 'model: c172p'"),
         ("a: [", r"mine.yaml': line 1: "),
         (b"\xff\xfe", "it is not text in UTF-8"),

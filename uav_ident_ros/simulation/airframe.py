@@ -21,7 +21,14 @@ from typing import Any
 
 import yaml
 
-from uav_ident_ros.files.strict_yaml import UNUSABLE, EntryError, finite, mapping, problem
+from uav_ident_ros.files.strict_yaml import (
+    UNUSABLE,
+    EntryError,
+    TypedLoader,
+    finite,
+    mapping,
+    problem,
+)
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.simulation.flight import SimulationError
 
@@ -97,7 +104,7 @@ def airframe(
 def _read(path: Path) -> Airframe:
     where = f"aircraft file '{path}'"
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = yaml.load(path.read_text(encoding="utf-8"), TypedLoader)
     except UNUSABLE as error:
         raise SimulationError(f"{where}: {problem(error)}") from None
     if not isinstance(content, dict):
