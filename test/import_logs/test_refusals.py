@@ -237,6 +237,12 @@ def test_unused_columns_may_share_a_name(importer: Importer) -> None:
     np.testing.assert_allclose(found.actuators[:, 0], 0.01 * np.arange(300))
 
 
+def test_a_column_of_zeros_may_stand_for_several_rates(importer: Importer) -> None:
+    text = TABLE.replace("0.1,0.2,0.3", "0.0,0.2,0.0").replace("q,r,", "q,unused,")
+    found = importer(*table(importer.folder, text, COLUMNS.replace("[p, q, r]", "[p, q, p]"))).bag
+    np.testing.assert_array_equal(found.rates, np.tile([0.0, 0.2, 0.0], (300, 1)))
+
+
 # --- refusals -----------------------------------------------------------------------------------
 
 
@@ -298,6 +304,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("has no table of ulog2csv, as LOG_sensor_combined_0.csv", lambda folder: [str(folder)]),
     ("flight.ulg' is empty", file("flight.ulg", b"")),
     ("of no known kind", file("flight.ulg", NOISE)),
+    ("'.*flight.mcap' is a bag and no log: replay .*flight.mcap reads", file("flight.mcap", NOISE)),
     ("short.ulg' is no readable ULog file", file("short.ulg", MAGIC + b"\1" + bytes(2))),
     ("it has no messages at all", file("short.ulg", MAGIC + b"\1" + bytes(8))),
     ("'/dev/zero' is no regular file", lambda folder: ["/dev/zero"]),
@@ -367,6 +374,9 @@ REFUSED: list[tuple[str, Make]] = [
      of_map("channels:", "channels:\n  elevator: {column: da, de: 0.5}")),
     ("channels.elevator: column 'de' is used twice: keep one of its channels", of_map("channels:",
      "channels:\n  de: {da: 0.5}")),
+    ("flight.csv': the column map takes column 'de' twice, for rates: name the column of each",
+     of_map("[p, q, r]", "[p, de, de]")),
+    ("takes column 'de' twice, for rates and channels:", of_map("[p, q, r]", "[p, q, de]")),
     ("columns.yaml': line [1-6]: ", of_map("time: {column: t}", "time: {")),
 ]  # fmt: skip
 

@@ -146,6 +146,10 @@ def read_log(options: argparse.Namespace) -> FlightLog:
 
 def _read(path: Path, options: argparse.Namespace) -> FlightLog:
     """Read the log with the reader for its first bytes."""
+    from uav_ident_ros.bags.reading import METADATA_FILE, STORAGE_SUFFIXES
+
+    if path.suffix in STORAGE_SUFFIXES or (path / METADATA_FILE).exists():
+        raise ImportLogError(f"'{path}' is a bag and no log: replay {path} reads it")
     start = px4_log.MAGIC if path.is_dir() else _first_bytes(path)
     choice = Choice(**{f.name: getattr(options, f.name) for f in fields(Choice)})
     for magic, read in READERS.items():
@@ -164,8 +168,8 @@ def _read(path: Path, options: argparse.Namespace) -> FlightLog:
             f"{start.decode(errors='replace').splitlines()[0]}"
         )
     raise ImportLogError(
-        f"log '{path}' is of no known kind: it begins neither like a PX4 ULog nor like an "
-        "ArduPilot dataflash log; a table needs --columns"
+        f"log '{path}' is of no known kind: it begins neither like a PX4 ULog nor an ArduPilot "
+        "dataflash log nor a blackbox log; a table needs --columns"
     )
 
 

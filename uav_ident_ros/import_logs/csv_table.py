@@ -22,7 +22,7 @@ from uav_ident_ros.files.strict_yaml import (
     problem,
 )
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
     FlightLog,
@@ -189,6 +189,7 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
     """Return the streams of a table; its rows must be in the order of time."""
     if rows is None:
         raise EntryError("it has no row with a plausible stamp")
+    _check_distinct(rows, columns)
     t_ns = rows.stamp_ns
     steps = np.diff(t_ns)
     back, ahead = int((steps < 0).sum()), int((steps > 0).sum())
@@ -216,6 +217,25 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
         speed = Stream(rows.name, t_ns, measured["airspeed"][:, 0])
         add("airspeed", columns.quantities["airspeed"][0], speed)
     return streams
+
+
+def _check_distinct(rows: Messages, columns: ColumnMap) -> None:
+    """Raise an `EntryError` if a column is used twice, unless it is constant, as one of zeros."""
+    taken: dict[str, str] = {}
+    used = {name: names for name, (names, _) in columns.quantities.items()}
+    for entry, names in {**used, "channels": list(columns.channels)}.items():
+        for name in names:
+            if name in taken and _varies(rows.values(name)):
+                places = entry if taken[name] == entry else f"{taken[name]} and {entry}"
+                raise EntryError(
+                    f"the column map takes column '{name}' twice, for {places}: name the column "
+                    "of each quantity"
+                )
+            taken[name] = entry
+
+
+def _varies(values: FloatArray) -> bool:
+    return np.unique(values[np.isfinite(values)]).size > 1
 
 
 def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str, Column]:
