@@ -130,12 +130,24 @@ def test_values_equal_those_of_rclpy(tmp_path: Path) -> None:
         assert {name: repr(value) for name, value in mine.items()} == live, namespace
 
 
+def test_a_parameter_that_is_given_twice_is_named_with_the_value_that_counts(
+    tmp_path: Path,
+) -> None:
+    """As in rcl the last one counts; the same parameter in two sections is no doubt."""
+    file = ParameterFile.read(write(tmp_path, TRICKY))
+    twice, delay = file.doubts("/identifier")
+    assert "'twice' more than once in section '/**': 2, the last, counts" in twice
+    assert "'actuators.delay' more than once in section '/**': 0.03, the last" in delay
+    twice_elsewhere = "/other:\n  ros__parameters:\n    a: 1\n    a: 2\n"
+    assert not ParameterFile.read(write(tmp_path, twice_elsewhere)).doubts("/identifier")
+
+
 REFUSED = [
     ("/**:\n  ros__parameters:\n    a:\n", "line 3: there is no value"),
     ("/**:\n  ros__parameters:\n    a: [1, 0.5]\n", "line 3: .*1 is an integer, 0.5 is a fl"),
     ("/**:\n  ros__parameters:\n    a: [[1.0], [0.5]]\n", "line 3: a list can hold plain"),
     ("/**:\n  ros__parameters:\n    a: {}\n    b: 1\n", "line 3: 'a' is an empty mapping"),
-    ("/**:\n  ros__parameters:\n", "'ros__parameters' holds a value"),
+    ("/**:\n  ros__parameters:\n", r"'ros__parameters' is empty: '/\*\*:' or a node's name is"),
     ("/**:\n  ros__parameters: [1]\n", "'ros__parameters' holds a value"),
     ("a: 1\n", "line 1: 'a' holds a value"),
     ("/**:\n  ros__parameters:\n    a: 1\n  b: 2\n", "line 4: 'b' holds a value"),
@@ -144,7 +156,7 @@ REFUSED = [
     ("bad name:\n  ros__parameters:\n    a: 1\n", "'bad name' is no node name"),
     ("ros__parameters:\n  a: 1\n", "line 1: there is no node name before"),
     ("/**:\n  ros__parameters:\n    a: {b: 1\n", r"expected ',' or '\}'"),
-    ("/**:\n  ros__parameters:\n\ta: 1\n", "line 3: .*cannot start"),
+    ("/**:\n  ros__parameters:\n\ta: 1\n", "line 3: there is a tab: YAML is indented with"),
     ("[1, 2]\n", "line 1: the file holds a value"),
 ]
 

@@ -173,5 +173,5 @@ def test_invalid_table_is_refused(tmp_path: Path, capsys: Capture, content: str 
     if content is not None:
         path.write_text(content)
     line = refusal(fleet_command.main, [str(path)], capsys)
-    missing = " cannot be read: there is no such file" if content is None else ""
+    missing = " cannot be read: there is no such file; replay of several" if content is None else ""
     assert line.startswith("fleet: ") and f"flights.csv'{missing}" in line

@@ -254,6 +254,21 @@ def test_printed_results(tmp_path: Path, capsys: Capture, monkeypatch: pytest.Mo
     assert summary(Path("replay_short"))["delay_confidence"] != "sure"
 
 
+def test_parameters_beside_a_bag_are_named_if_none_are_given(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    short, output = excerpt(tmp_path / "my flight", 4.0), str(tmp_path / "out")
+    beside = parameter_file(short / "identifier.yaml", **parameters("multisine"))
+    for bag in (short, next(short.glob("*.mcap"))):
+        assert main([str(bag), "--output", output]) == NOT_USABLE
+        assert f"{beside} was not read: give it as --params-file" in summary(Path(output))["notes"]
+    beside.write_text(beside.read_text() + "    update_rate: 10.0\n    update_rate: 20.0\n")
+    assert main([str(short), "--output", output, "--params-file", str(beside)]) == NOT_USABLE
+    assert summary(Path(output))["notes"] == []
+    warned = capsys.readouterr().err
+    assert "gives 'update_rate' more than once in section '/**': 20.0, the last" in warned
+
+
 OWN = {IMU: IMU_TYPE, ACTUATORS: ARRAY}
 USUAL = {"rates": IMU, "actuators": ACTUATORS}
 ASKED = "/identifier/excitation"

@@ -49,20 +49,25 @@ class ParameterFile:
     path: Path
     # Values by dotted name for each section (a node name or pattern), in the order of the file
     sections: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
+    # Section and name of each parameter that a section gives more than once: the last counts
+    repeated: tuple[tuple[str, str], ...] = ()
 
     @classmethod
     def read(cls, path: Path | str) -> ParameterFile:
         """Read a file; raises `ParameterFileError` if it is unreadable or rcl refuses it."""
         path, sections = Path(path), dict[str, dict[str, ParameterValue]]()
+        repeated: dict[tuple[str, str], None] = {}
         try:
             root = yaml.compose(path.read_text(encoding="utf-8"), _Loader)
             for section, name, value in _sections(root, "", "the file") if root else ():
                 values = sections.setdefault(section, {})
+                if name in values:
+                    repeated[section, name] = None
                 if name:
                     values[name] = value
         except UNUSABLE as error:
             raise ParameterFileError(f"parameter file '{path}': {problem(error)}") from None
-        return cls(path, sections)
+        return cls(path, sections, (*repeated,))
 
     def values_for(self, node: str) -> dict[str, ParameterValue]:
         """Return the values for a node, ``/drone1/identifier``; as in rclpy, the last section wins.
@@ -92,6 +97,15 @@ class ParameterFile:
                 f"sections are {', '.join(self.sections)}; write '{_absolute(node)}:' or '/**:'"
             )
         return found
+
+    def doubts(self, node: str) -> list[str]:
+        """Return a sentence on each parameter of a node that a section gives more than once."""
+        return [
+            f"parameter file '{self.path}' gives '{name}' more than once in section '{section}': "
+            f"{written(self.sections[section][name])}, the last, counts; keep one of them"
+            for section, name in self.repeated
+            if _matches(section, node)
+        ]
 
 
 def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
@@ -174,10 +188,11 @@ class _Loader(yaml.BaseLoader):
 def _entries(node: Any, owner: str) -> Iterator[tuple[str, Any, Any]]:
     """Yield each key of a mapping, as text and as a node, and its value."""
     if not isinstance(node, yaml.MappingNode):
+        content = "is empty" if node.value == "" else "holds a value"
         raise malformed(
             node,
-            f"{owner} holds a value: node names, then '{PARAMETERS_KEY}:', then the parameters "
-            "are needed",
+            f"{owner} {content}: '/**:' or a node's name is needed, below it '{PARAMETERS_KEY}:', "
+            "and below that the parameters",
         )
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):

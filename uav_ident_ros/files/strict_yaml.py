@@ -53,7 +53,10 @@ def problem(error: BaseException) -> str:
     """Return the problem of a file in one line, from one of `UNUSABLE`, with its line number."""
     if isinstance(error, yaml.MarkedYAMLError):
         mark = error.problem_mark or error.context_mark
-        return f"line {mark.line + 1 if mark else 1}: {error.problem or error.context}"
+        reason = str(error.problem or error.context)
+        if r"'\t'" in reason:
+            reason = "there is a tab: YAML is indented with spaces"
+        return f"line {mark.line + 1 if mark else 1}: {reason}"
     if isinstance(error, OSError):
         missing = error.errno == errno.ENOENT
         return "there is no such file or folder" if missing else error.strerror or str(error)

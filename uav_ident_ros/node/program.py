@@ -131,12 +131,14 @@ def run(
 
 
 def _log_sources(node: Node, argv: Sequence[str]) -> None:
-    """Log the sections of parameter files that apply to a node; raise if a file has none."""
+    """Log the sections of parameter files for a node, and doubts; raise if a file has none."""
     for option, path in itertools.pairwise(argv):
         if option == "--params-file":
-            sections = ParameterFile.read(path).sections_for(node.get_fully_qualified_name())
-            if sections:
+            file, name = ParameterFile.read(path), node.get_fully_qualified_name()
+            if sections := file.sections_for(name):
                 node.get_logger().info(f"parameters of '{path}', section {', '.join(sections)}")
+            for doubt in file.doubts(name):
+                node.get_logger().warning(doubt)
 
 
 def spin(node: Node, ending: Ending) -> int:

@@ -113,7 +113,9 @@ def read_flights(path: Path) -> list[FlightRow]:
     pa, schema = arrow()
     path = path / CSV_FILE if path.is_dir() else path
     if not path.exists():
-        raise BagError(f"'{path}' cannot be read: there is no such file")
+        raise BagError(
+            f"'{path}' cannot be read: there is no such file; replay of several bags writes it"
+        )
     columns = pa.csv.ConvertOptions(column_types=schema, include_columns=schema.names)
     try:
         if path.suffix == ".parquet":

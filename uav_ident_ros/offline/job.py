@@ -22,7 +22,11 @@ from uav_ident_ros.files.coefficients_file import (
     initial_coefficients,
     save_coefficients,
 )
-from uav_ident_ros.files.parameter_file import ParameterFileError, load_parameters
+from uav_ident_ros.files.parameter_file import (
+    ParameterFile,
+    ParameterFileError,
+    load_parameters,
+)
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
@@ -95,6 +99,9 @@ REFUSALS = (
     SettingsError,
 )
 """Exceptions of bad input."""
+
+PARAMETER_FILE = "identifier.yaml"
+"""File that `simulate` and `import_log` write beside a bag."""
 
 VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
 """Text for each status of a replay."""
@@ -197,6 +204,8 @@ def write_results(folder: Path, replayed: Replayed) -> None:
 def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
     """Run the identifier on the bag; return the run, and notes on the bag."""
     values = job.parameters()
+    for file in job.params_files:
+        warnings += ParameterFile.read(file).doubts(job.node)
     with Bag(job.bag) as bag:
         try:
             inputs = choose_inputs(bag, values, job.topics)
@@ -210,7 +219,14 @@ def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[
         except REFUSALS:
             warnings += bag.damage  # a possible cause
             raise
-        return run, tuple(notes_on(bag, run))
+        return run, (*notes_on(bag, run), *_unread_parameters(job))
+
+
+def _unread_parameters(job: Job) -> Iterator[str]:
+    """Yield a note if parameters lie beside the bag, and none are given."""
+    file = (job.bag if job.bag.is_dir() else job.bag.parent) / PARAMETER_FILE
+    if file.is_file() and not job.params_files:
+        yield f"{file} was not read: give it as --params-file"
 
 
 def _no_tick_reason(run: OfflineRun) -> str:
