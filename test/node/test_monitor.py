@@ -166,6 +166,11 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
         "  /one/identifier",
         "  /two/identifier",
     ]
+    monitor = start_monitor("--once", "--timeout", "5", "--node", "/too/identifier")
+    shown, errors = monitor.communicate(timeout=PATIENCE)
+    assert monitor.returncode == 3
+    found = "monitor: no message of '/too/identifier' for 5 s; running: "
+    assert errors == f"{found}/one/identifier, /two/identifier\n"
     output = tmp_path / "shown"
     start_monitor("--node", "/two/identifier", output=output)
     assert wait_for(lambda: "no message on '/two/imu/data' yet" in output.read_text())
@@ -190,6 +195,11 @@ def test_the_monitor_waits_for_a_node_and_restores_the_terminal(
     frame = re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "\n", terminal.received)
     drawn = frame[frame.index("/identifier") :]
     assert max(len(line) for line in drawn.splitlines()) <= 80
+
+    # a terminal without cursor control gets blocks of text
+    with contextlib.closing(Terminal(["env", "TERM=dumb", *MONITOR])) as terminal:
+        assert terminal.read_until("no message on '/imu/data' yet")
+    assert "\x1b" not in terminal.received
 
     monitor = start_monitor("--plain", "--node", "/identifier")
     assert monitor.stdout.readline().startswith("/identifier")

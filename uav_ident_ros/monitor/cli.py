@@ -134,7 +134,9 @@ def once(guest: Guest, node: str | None, timeout: float) -> int:
     watched = listen(guest, node)
     guest.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
     if watched.newest is None and not watched.state:
-        print(f"monitor: no message of '{node}' for {timeout:g} s", file=sys.stderr)
+        others = ", ".join(identifiers(guest))
+        there = f"; running: {others}" if others else ""
+        print(f"monitor: no message of '{node}' for {timeout:g} s{there}", file=sys.stderr)
         return NOTHING_RECEIVED
     View(plain=True).show(watched)
     return USABLE if watched.usable else NOT_USABLE

@@ -72,7 +72,7 @@ class View:
     ) -> None:
         self.period = 1.0  # Seconds between two pictures
         self._screen: Live | None = None
-        if plain or not sys.stdout.isatty():
+        if plain or not sys.stdout.isatty() or Console().is_dumb_terminal:
             self._console = Console(force_terminal=False, color_system=None, highlight=False)
         else:
             self._console, self.period = Console(), 0.5
