@@ -6,8 +6,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
@@ -80,4 +83,5 @@ def warnings(measured: Effectiveness) -> list[str]:
 
 if __name__ == "__main__":
     rclpy.init()
-    rclpy.spin(EffectivenessMonitor())
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(EffectivenessMonitor())

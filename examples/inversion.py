@@ -6,10 +6,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3Stamped
 from numpy.typing import NDArray
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
@@ -69,4 +72,5 @@ class Inversion(Node):
 
 if __name__ == "__main__":
     rclpy.init()
-    rclpy.spin(Inversion())
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(Inversion())

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The examples run, with the printed or drawn results of a replay or a node."""
 
+import os
 import re
+import signal
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
+import pytest
 from programs import PATIENCE, python
 from recordings import Fly, part, recording
 from repository import ROOT
+
+from uav_ident_ros.guest import Guest
 
 EXAMPLES = ROOT / "examples"
 
@@ -26,6 +32,31 @@ def run(name: str, *arguments: str) -> str:
 def test_every_example_is_listed() -> None:
     listed = re.findall(r"^\| `(\w+\.py)` \|", (EXAMPLES / "README.md").read_text(), re.MULTILINE)
     assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))
+
+
+@pytest.mark.parametrize(
+    "name", ["indi.py", "inversion.py", "lqr.py", "effectiveness_monitor.py", "live_plot.py"]
+)
+def test_an_example_ends_on_ctrl_c_without_a_traceback(name: str) -> None:
+    nominal = ROOT / "config" / "closed_loop" / "c172p_coefficients.yaml"
+    controls = name in ("indi.py", "inversion.py", "lqr.py")
+    arguments = ("--ros-args", "-p", f"nominal_file:={nominal}") if controls else ()
+    environment = {**os.environ, "MPLBACKEND": "agg"}
+    process = subprocess.Popen(
+        command(name, *arguments), stderr=subprocess.PIPE, text=True, env=environment
+    )
+    try:
+        node = name.removesuffix(".py")
+        with closing(Guest("observer")) as guest:
+            nodes = guest.node.get_node_names
+            assert guest.spin_for(PATIENCE, lambda: node in nodes() or process.poll() is not None)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert (process.returncode, errors) == (0, "")
+    finally:
+        process.kill()
+    if controls:
+        assert "no coefficients file is named: give the path" in python(*command(name)[1:]).stderr
 
 
 def test_fleet_table_reads_the_results_of_a_replay(replayed_example: Path) -> None:

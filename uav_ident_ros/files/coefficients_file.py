@@ -202,6 +202,10 @@ def initial_coefficients(settings: Settings) -> CoefficientSet | None:
 
 def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[CoefficientSet, Notes]:
     """Read a coefficients file and its notes; see `load_coefficients`."""
+    if not str(path):
+        raise CoefficientsFileError(
+            "no coefficients file is named: give the path of a coefficients.yaml, as of replay"
+        )
     try:
         content = yaml.load(_text_of(Path(path)), StrictLoader)
         return _coefficients(content, structure), _notes(content)
