@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 from uav_ident_ros.bags.reading import Bag, Message
+from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c, number
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.messages.streams import STREAMS
@@ -103,7 +104,10 @@ def run_demo(options: argparse.Namespace) -> int:
     speed = options.speed or (DEFAULT_SPEED if stamped else 1.0)
     name = options.bag.resolve().stem
     folder = options.output / f"demo_{name}"
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BagWriteError(f"cannot write into '{folder}': {error.strerror}") from None
     log = folder / "node.log"
     log.unlink(missing_ok=True)
     print(

@@ -18,6 +18,7 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
 from uav_ident_ros.client.subscription import TOPIC
+from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.ros import latched
@@ -73,6 +74,14 @@ def test_a_flight_has_its_own_domain_unless_one_is_given(
         monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     assert closed_loop.main([]) == 1
     assert domains == [given] if given else domains[0] in map(str, range(1, 102))
+
+
+def test_ctrl_c_ends_a_flight_without_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(closed_loop, "ClosedLoop", interrupt)
+    assert closed_loop.main([]) == INTERRUPTED
 
 
 class Plant:

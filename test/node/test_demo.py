@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from excerpts import PARAMETERS, excerpt
+from excerpts import BAGS, PARAMETERS, excerpt
 from programs import Capture, python, refusal
 from repository import ROOT
 
@@ -61,3 +61,10 @@ def test_wrong_input_is_refused_in_one_line(
     arguments: tuple[str, ...], printed: str, tmp_path: Path, capsys: Capture
 ) -> None:
     assert printed in refusal(main, [*arguments, "--output", str(tmp_path)], capsys)
+
+
+def test_an_output_that_cannot_be_written_is_refused(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "file").touch()
+    output = tmp_path / "file" / "results"
+    line = refusal(main, [str(BAGS / "multisine"), "--output", str(output)], capsys)
+    assert line == f"demo: cannot write into '{output / 'demo_multisine'}': Not a directory"

@@ -109,6 +109,22 @@ def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -
         assert words_printed.count("\n") == 1 and wanted in words_printed, arguments
 
 
+MISSPELT = """
+import rclpy
+from uav_ident_ros.controller_example import ControllerExample
+rclpy.init(args=["--ros-args", "-p", "mod:=fixed", "-p", "imu.type:=of another node"])
+ControllerExample().destroy_node()
+rclpy.shutdown()
+"""
+
+
+def test_a_misspelt_parameter_of_another_node_is_named() -> None:
+    """It is no refusal: a section /** holds the parameters of several nodes."""
+    done = python("-c", MISSPELT, check=True)
+    assert "there is no parameter 'mod': did you mean 'mode'?" in done.stderr
+    assert "imu.type" not in done.stderr
+
+
 HELPS = {
     "node": "actuators.mixing.de = [1.0, 0.0, 0.0, 0.0]",
     "simulation.plant_node": 'aircraft = "c172p"',

@@ -28,7 +28,7 @@ from rclpy.utilities import remove_ros_args
 from uav_ident_ros.commandline import USAGE_ERROR
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError
 from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError, written
-from uav_ident_ros.identification.settings import Setting, SettingsError
+from uav_ident_ros.identification.settings import Setting, SettingsError, nearest
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.notices import without_sources
@@ -190,7 +190,7 @@ def _usage(name: str, text: str, settings: Iterable[Setting]) -> str:
 
 def read_parameters(
     node: Node,  # Any node of this package but the identifier
-    settings: Iterable[Setting],  # A list of numbers must be as long as its default
+    settings: Sequence[Setting],  # A list of numbers must be as long as its default
 ) -> dict[str, Any]:
     """Declare the parameters of a node; return their values by name.
 
@@ -200,6 +200,11 @@ def read_parameters(
         If a value is not allowed; the message has the allowed ones.
     """
     values: dict[str, Any] = {}
+    known = [setting.name for setting in settings]
+    for name in node._parameter_overrides:  # as in `parameters.settings_of`
+        # others may belong to another node, in a section /**
+        if name not in known and (hint := nearest(name, known)):
+            node.get_logger().warning(f"there is no parameter '{name}': {hint}")
     for setting in settings:
         name, default = setting.name, setting.default
         plain: Any = list(default) if isinstance(default, tuple) else default

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.commandline import OneLineParser
+from uav_ident_ros.commandline import INTERRUPTED, OneLineParser
 from uav_ident_ros.control import LAWS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.waiting import Progress
@@ -271,6 +271,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (SimulationError, OSError) as error:
         print(f"closed_loop: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        return INTERRUPTED
     return int(np.isfinite(record["lost"][0]))
 
 
