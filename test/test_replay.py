@@ -538,14 +538,18 @@ def test_excitation_messages_of_unknown_inputs_are_dropped(tmp_path: Path) -> No
     assert refusals.dropped == {"wrong channels": refusals.received} and refusals.received > 50
 
 
-@pytest.mark.parametrize("package", ["rosbags", "mcap", "pyarrow"])
-def test_the_error_names_the_missing_package(package: str) -> None:
+@pytest.mark.parametrize(
+    ("command", "package"),
+    [("replay", "rosbags"), ("replay", "mcap"), ("replay", "pyarrow"), ("import_log", "rosbags")],
+)
+def test_the_error_names_the_missing_package(command: str, package: str) -> None:
     """This is the case of an installation from apt alone."""
+    given = ["bag", "bag"] if command == "replay" else ["log"]
     code = (
         f"import sys; sys.modules['{package}'] = None\n"
-        "from uav_ident_ros.commandline import replay; sys.exit(replay(['bag', 'bag']))"
+        f"from uav_ident_ros.commandline import {command}; sys.exit({command}({given}))"
     )
     run = python("-c", code)
     assert run.returncode == 2
-    assert run.stderr.startswith(f"replay: the Python package '{package}' is missing")
+    assert run.stderr.startswith(f"{command}: the Python package '{package}' is missing")
     assert run.stderr.count("\n") == 1

@@ -95,17 +95,9 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return the exit status, `DAMAGED` if a part of the log is unreadable."""
     options = parser().parse_args(arguments)
-    try:
-        from uav_ident_ros.bags.writing import BagWriteError
-        from uav_ident_ros.import_logs.writing import (
-            PARAMETER_FILE,
-            fitting,
-            summary,
-            write_import,
-        )
-    except ImportError as error:
-        print(f"import_log: {error.name} is not installed: pip install rosbags", file=sys.stderr)
-        return USAGE_ERROR
+    from uav_ident_ros.bags.writing import BagWriteError  # help needs none of these
+    from uav_ident_ros.import_logs.writing import PARAMETER_FILE, fitting, summary, write_import
+
     folder: Path = options.output or Path(options.log.stem)
     try:
         if folder.exists():
@@ -198,7 +190,3 @@ def _note_streams(log: FlightLog) -> None:
             f"actuators: {without} samples lack a value of a channel in use, as of a motor that is "
             "off: they will be dropped"
         )
-
-
-if __name__ == "__main__":
-    sys.exit(main())
