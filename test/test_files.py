@@ -289,6 +289,17 @@ def test_a_wrong_structure_and_foreign_files_are_refused(tmp_path: Path) -> None
     assert (tmp_path / "pipe").is_fifo()
 
 
+def test_a_missing_file_says_where_a_relative_path_counts_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A node that systemd or a launch file starts has another folder than the operator."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CoefficientsFileError, match=f"no such file or folder in '{tmp_path}': a"):
+        load_coefficients("output/coefficients.yaml")
+    with pytest.raises(CoefficientsFileError, match=r"no such file or folder$"):
+        load_coefficients(tmp_path / "coefficients.yaml")
+
+
 def test_a_non_finite_value_is_not_written(tmp_path: Path) -> None:
     path, before = saved(tmp_path)
     spoilt = example()

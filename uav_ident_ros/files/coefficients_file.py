@@ -210,7 +210,10 @@ def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[Coe
         content = yaml.load(_text_of(Path(path)), StrictLoader)
         return _coefficients(content, structure), _notes(content)
     except UNUSABLE as error:
-        raise CoefficientsFileError(f"coefficients file '{path}': {problem(error)}") from None
+        reason = problem(error)
+        if isinstance(error, FileNotFoundError) and not Path(path).is_absolute():
+            reason += f" in '{Path.cwd()}': a relative path counts from where the program starts"
+        raise CoefficientsFileError(f"coefficients file '{path}': {reason}") from None
 
 
 def _check_regular(path: Path) -> None:
