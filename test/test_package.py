@@ -21,7 +21,7 @@ import yaml
 from programs import python
 from repository import ROOT, console_scripts, setup_arguments
 
-from uav_ident_ros.commandline import COMMANDS, INTERRUPTED, USAGE_ERROR, run
+from uav_ident_ros.commandline import BROKEN_PIPE, COMMANDS, INTERRUPTED, USAGE_ERROR, run
 from uav_ident_ros.node.memory import FINISH_WITHIN
 from uav_ident_ros.process import own_domain
 
@@ -208,6 +208,26 @@ def test_ctrl_c_during_the_imports_leaves_no_traceback(name: str) -> None:
     )
     done = python("-c", code)
     assert (done.returncode, done.stderr) == (INTERRUPTED, "")
+
+
+NODES = [name for name in console_scripts() if name not in COMMANDS]
+PRINT = (
+    "from uav_ident_ros.offline import fleet_command\n"
+    "fleet_command.main = lambda _: print('a table') or 0\n"
+)
+
+
+@pytest.mark.parametrize(("name", "before"), [("fleet", PRINT), *((name, "") for name in NODES)])
+def test_the_end_of_a_reader_of_a_pipe_leaves_no_traceback(name: str, before: str) -> None:
+    """As of ``identifier --help | head``."""
+    module, _, function = console_scripts()[name].partition(":")
+    code = f"{before}import sys; from {module} import {function}; sys.exit({function}())"
+    reader, writer = os.pipe()
+    os.close(reader)
+    with open(writer, "w") as stdout:
+        command = [sys.executable, "-c", code, "--help"]
+        done = subprocess.run(command, cwd=ROOT, stdout=stdout, stderr=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (BROKEN_PIPE, b"")
 
 
 def test_pip_requirements_exclude_ros():

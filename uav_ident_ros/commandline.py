@@ -17,6 +17,9 @@ USAGE_ERROR = 2
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as in shells."""
 
+BROKEN_PIPE = 141
+"""Exit status after the end of the reader of a pipe, as in shells."""
+
 
 COMMANDS = {
     "demo": "demo",
@@ -41,13 +44,22 @@ CURES = {
 
 
 def run(name: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a command of `COMMANDS` and return its exit status; Ctrl-C leaves no traceback."""
+    """Run a command of `COMMANDS` and return its exit status.
+
+    Neither Ctrl-C nor the end of a pipe's reader, such as ``head``, leaves a traceback.
+    """
     try:
         with importing():
             module = import_module(f"uav_ident_ros.{COMMANDS[name]}")
-        return int(module.main(arguments))
+        try:
+            return int(module.main(arguments))
+        finally:
+            sys.stdout.flush()
     except KeyboardInterrupt:
         return INTERRUPTED
+    except BrokenPipeError:
+        reader_has_gone()
+        return BROKEN_PIPE
     except ModuleNotFoundError as error:
         print(f"{name}: {missing(error)}", file=sys.stderr)
         return USAGE_ERROR

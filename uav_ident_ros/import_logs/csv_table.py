@@ -235,7 +235,7 @@ def _check_distinct(rows: Messages, columns: ColumnMap) -> None:
 
 
 def _varies(values: FloatArray) -> bool:
-    return np.unique(values[np.isfinite(values)]).size > 1
+    return len(np.unique(values[np.isfinite(values)])) > 1
 
 
 def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str, Column]:

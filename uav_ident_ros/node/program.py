@@ -6,6 +6,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from typing import Any, TypeVar
 
 import rclpy
@@ -25,7 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from uav_ident_ros.commandline import USAGE_ERROR
+from uav_ident_ros.commandline import BROKEN_PIPE, USAGE_ERROR, reader_has_gone
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError
 from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError, written
 from uav_ident_ros.identification.settings import Setting, SettingsError, nearest
@@ -102,8 +103,11 @@ def run(
     """Run a node as a program; return its exit status: 2 after a wrong start."""
     argv, ending = sys.argv if args is None else args, ending or Ending()
     if {"-h", "--help"} & set(argv[1:]):
-        print(_usage(name, text or "", settings))
-        return 0
+        with suppress(BrokenPipeError):
+            print(_usage(name, text or "", settings), flush=True)
+            return 0
+        reader_has_gone()
+        return BROKEN_PIPE
     try:
         if stray := remove_ros_args(list(argv))[1:]:
             raise UsageError(
