@@ -107,8 +107,13 @@ def nanoseconds(
         if 0 <= t_ns < latest_ns:  # checked first: the int may have a million digits
             return int(t_ns.to_integral_value())
     except (ArithmeticError, ValueError, TypeError):
-        raise EntryError(f"{what} is '{text}', which is no number") from None
+        raise EntryError(f"{what} is '{text}', which is no number{comma(text)}") from None
     raise EntryError(f"{what} is '{text}': a stamp holds 0 to {latest_ns // NS_PER_S} s{cure}")
+
+
+def comma(text: Any) -> str:
+    """Return the cure for a decimal comma, as in tables of some countries; else nothing."""
+    return ": decimals need a point" if "," in str(text) else ""
 
 
 def meant(name: str, known: Collection[str]) -> str:

@@ -15,13 +15,14 @@ from uav_ident_ros.files.strict_yaml import (
     UNUSABLE,
     EntryError,
     TypedLoader,
+    comma,
     finite,
     mapping,
-    meant,
     nanoseconds,
     problem,
 )
 from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.settings import nearest
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
@@ -253,8 +254,11 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
     read = [*(name for names, _ in others for name in names), *columns.channels]
     for name in (time, *read):
         if name not in header:
-            listed = ", ".join(header)
-            raise EntryError(f"it has no column '{name}'; it has {listed}: {meant(name, header)}")
+            hint = nearest(name, header)
+            if len(header) == 1:
+                hint = f"if that is several columns, 'delimiter' is not '{columns.delimiter}'"
+            listed = ", ".join(header) + (f": {hint}" if hint else "")
+            raise EntryError(f"it has no column '{name}'; it has {listed}")
         if header.count(name) > 1:
             raise EntryError(f"its header has column '{name}' more than once: rename the others")
     place, *places = (header.index(name) for name in (time, *read))
@@ -282,4 +286,4 @@ def _number(line: int, cell: str) -> float:
     try:
         return float("nan" if cell in EMPTY else cell)
     except ValueError:
-        raise EntryError(f"line {line}: '{cell}' is no number") from None
+        raise EntryError(f"line {line}: '{cell}' is no number{comma(cell)}") from None
