@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from blackbox_writing import FIELDS, blackbox
 from dataflash_writing import Rows, write_dataflash
+from excerpts import BAGS
 from good_logs import (
     ARMED,
     COLUMNS,
@@ -304,7 +305,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("has no table of ulog2csv, as LOG_sensor_combined_0.csv", lambda folder: [str(folder)]),
     ("flight.ulg' is empty", file("flight.ulg", b"")),
     ("of no known kind", file("flight.ulg", NOISE)),
-    ("'.*flight.mcap' is a bag and no log: replay .*flight.mcap reads", file("flight.mcap", NOISE)),
+    ("folder '.*multisine' is a ROS bag: give it to replay", lambda _: [str(BAGS / "multisine")]),
     ("short.ulg' is no readable ULog file", file("short.ulg", MAGIC + b"\1" + bytes(2))),
     ("it has no messages at all", file("short.ulg", MAGIC + b"\1" + bytes(8))),
     ("'/dev/zero' is no regular file", lambda folder: ["/dev/zero"]),

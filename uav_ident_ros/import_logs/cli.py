@@ -138,10 +138,8 @@ def read_log(options: argparse.Namespace) -> FlightLog:
 
 def _read(path: Path, options: argparse.Namespace) -> FlightLog:
     """Read the log with the reader for its first bytes."""
-    from uav_ident_ros.bags.reading import METADATA_FILE, STORAGE_SUFFIXES
-
-    if path.suffix in STORAGE_SUFFIXES or (path / METADATA_FILE).exists():
-        raise ImportLogError(f"'{path}' is a bag and no log: replay {path} reads it")
+    if (path / "metadata.yaml").exists():
+        raise ImportLogError(f"folder '{path}' is a ROS bag: give it to replay as it is")
     start = px4_log.MAGIC if path.is_dir() else _first_bytes(path)
     choice = Choice(**{f.name: getattr(options, f.name) for f in fields(Choice)})
     for magic, read in READERS.items():
