@@ -269,6 +269,15 @@ def test_parameters_beside_a_bag_are_named_if_none_are_given(
     assert "gives 'update_rate' more than once in section '/**': 20.0, the last" in warned
 
 
+def test_of_several_parameter_files_the_last_counts(tmp_path: Path) -> None:
+    """As with the node, each file needs only its changes."""
+    first = parameter_file(tmp_path / "a.yaml", **parameters("multisine", update_rate=10.0))
+    second = parameter_file(tmp_path / "b.yaml", update_rate=25.0)
+    replay(excerpt(tmp_path / "bag", 2.0), tmp_path, "--params-file", str(second), by=first)
+    settings = summary(tmp_path)["settings"]
+    assert (settings["update_rate"], settings["structure"]) == (25.0, "augmented")
+
+
 OWN = {IMU: IMU_TYPE, ACTUATORS: ARRAY}
 USUAL = {"rates": IMU, "actuators": ACTUATORS}
 ASKED = "/identifier/excitation"

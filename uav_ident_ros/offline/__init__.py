@@ -56,7 +56,9 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("bags", type=Path, nargs="+", metavar="BAG",
         help="MCAP file, rosbag2 folder, or a folder with any number of them")  # fmt: skip
     add = result.add_argument_group("parameters").add_argument
-    add("--params-file", type=Path, metavar="FILE", help="ROS 2 parameter file, as for the node")
+    add("--params-file", type=Path, action="append", default=[], metavar="FILE",
+        help="ROS 2 parameter file, as for the node; may be given several times: the last "
+             "counts")  # fmt: skip
     add("--node", default=NODE_NAME, metavar="NAME",
         help="node whose sections of the parameter file count (default: %(default)s)")  # fmt: skip
     add("--compare", type=Path, nargs="+", metavar="FILE",

@@ -114,7 +114,7 @@ def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path, *files
         bag,
         name,
         folder,
-        (*([options.params_file] if options.params_file else []), *files),
+        (*options.params_file, *files),
         options.node,
         dict(options.topic),
         options.plot,
