@@ -26,7 +26,7 @@ from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.inputs import Inputs, choose_inputs
-from uav_ident_ros.offline.job import REFUSALS
+from uav_ident_ros.offline.job import REFUSALS, parameters_beside
 from uav_ident_ros.player import Player, PlayerError
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.share import shared
@@ -94,8 +94,7 @@ def parser() -> argparse.ArgumentParser:
 
 def run_demo(options: argparse.Namespace) -> int:
     """Play a flight, show it and write its report; return the exit status."""
-    beside = options.bag / "identifier.yaml"
-    file = options.params_file or (beside if beside.is_file() else None)
+    file = options.params_file or parameters_beside(options.bag)
     with Bag(options.bag) as bag:
         inputs = choose_inputs(bag, load_parameters(file, NODE_NAME) if file else {})
         messages = list(bag.messages(inputs.topics))

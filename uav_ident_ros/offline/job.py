@@ -100,9 +100,6 @@ REFUSALS = (
 )
 """Exceptions of bad input."""
 
-PARAMETER_FILE = "identifier.yaml"
-"""File that `simulate` and `import_log` write beside a bag."""
-
 VERDICTS = {USABLE: "usable", NOT_USABLE: "not usable", NO_RESULT: "no result"}
 """Text for each status of a replay."""
 
@@ -219,14 +216,15 @@ def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[
         except REFUSALS:
             warnings += bag.damage  # a possible cause
             raise
-        return run, (*notes_on(bag, run), *_unread_parameters(job))
+        unread = None if job.params_files else parameters_beside(job.bag)
+        hint = [f"{unread} was not read: give it as --params-file"] if unread else []
+        return run, (*notes_on(bag, run), *hint)
 
 
-def _unread_parameters(job: Job) -> Iterator[str]:
-    """Yield a note if parameters lie beside the bag, and none are given."""
-    file = (job.bag if job.bag.is_dir() else job.bag.parent) / PARAMETER_FILE
-    if file.is_file() and not job.params_files:
-        yield f"{file} was not read: give it as --params-file"
+def parameters_beside(bag: Path) -> Path | None:
+    """Return the parameter file that `simulate` or `import_log` wrote beside a bag, if any."""
+    file = (bag if bag.is_dir() else bag.parent) / "identifier.yaml"
+    return file if file.is_file() else None
 
 
 def _no_tick_reason(run: OfflineRun) -> str:
