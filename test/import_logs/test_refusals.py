@@ -238,6 +238,14 @@ def test_unused_columns_may_share_a_name(importer: Importer) -> None:
     np.testing.assert_allclose(found.actuators[:, 0], 0.01 * np.arange(300))
 
 
+def test_the_command_that_follows_quotes_a_path_with_blanks(importer: Importer) -> None:
+    importer.folder = importer.folder / "first flight"
+    importer.folder.mkdir()
+    printed = importer(*table(importer.folder)).printed
+    bag = importer.folder / "bag_1"
+    assert f"; next: replay '{bag}' --params-file '{bag}/identifier.yaml'" in printed
+
+
 def test_a_column_of_zeros_may_stand_for_several_rates(importer: Importer) -> None:
     text = TABLE.replace("0.1,0.2,0.3", "0.0,0.2,0.0").replace("q,r,", "q,unused,")
     found = importer(*table(importer.folder, text, COLUMNS.replace("[p, q, r]", "[p, q, p]"))).bag

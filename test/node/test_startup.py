@@ -13,6 +13,7 @@ FILE = "/**:\n  ros__parameters:\n"
 
 WRONG_PARAMETERS = [
     ("updat_rate:=20.0", "there is no parameter 'updat_rate': did you mean 'update_rate'?"),
+    ("update_rate=20.0", "parameter 'update_rate=20.0': write NAME:=VALUE"),
     ("update_rate:=20", "'update_rate' is 20: that is an integer: write 20.0"),
     ("filter.cutoff:=0.1", "'filter.cutoff' is 0.1: allowed is 1 to 200 rad/s"),
     ("structure:=basline", "did you mean 'baseline'?"),
@@ -91,6 +92,7 @@ def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -
     cases += [
         (own, ["--ros-args", "--params-file", "none.yaml"], "'none.yaml': there is no such file"),
         (own, ["flight.yaml"], "--ros-args --params-file FILE"),
+        (own, ["--ros-args", "-r", "imu/data=/gyro"], "remapping 'imu/data=/gyro': write FROM:=TO"),
     ]
     dumped = tmp_path / "dumped.yaml"  # format of `ros2 param dump` without a namespace
     dumped.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")

@@ -2,6 +2,7 @@
 """`import_log`: a PX4 or ArduPilot log, or a table, as a bag with the standard topics."""
 
 import argparse
+import shlex
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -113,8 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"\n{title}")
         for sentence in sentences:
             print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
-    parameters = folder / PARAMETER_FILE
-    print(f"\nwritten to {folder}; next: replay {folder} --params-file {parameters}")
+    following = shlex.join(["replay", str(folder), "--params-file", str(folder / PARAMETER_FILE)])
+    print(f"\nwritten to {folder}; next: {following}")
     return DAMAGED if log.findings.damage else 0
 
 

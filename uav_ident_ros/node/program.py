@@ -66,7 +66,7 @@ def explain(error: Exception) -> str:
     if isinstance(error, InvalidParameterTypeException) and typed:
         name, value, wanted = typed.groups()
         return f"'{name}' is {value}: {_FIXES.get(wanted, f'a {wanted} is needed')}"
-    quoted = re.search(r"'(-p|--param|--params-file) (.*?)'\. Error: (.*)", message)
+    quoted = re.search(r"'(-p|--param|-r|--remap|--params-file) (.*?)'\. Error: (.*)", message)
     if quoted is None:
         return message
     option, text, reason = quoted.groups()
@@ -75,9 +75,13 @@ def explain(error: Exception) -> str:
             ParameterFile.read(text)
         except ParameterFileError as found:  # has a clearer text than the error of rcl
             return str(found)
+    what = {"--params-file": "parameter file", "-r": "remapping", "--remap": "remapping"}.get(
+        option, "parameter"
+    )
     if "same type" in reason:
         reason += ": write every number of a list with a decimal point, like [1.0, 0.5]"
-    what = "parameter file" if option == "--params-file" else "parameter"
+    elif "lexeme" in reason:  # a word of the grammar of rcl
+        reason = f"write {'FROM:=TO' if what == 'remapping' else 'NAME:=VALUE'}"
     return f"{what} '{text}': {reason}"
 
 
