@@ -295,6 +295,21 @@ def first(old: str, new: str) -> Make:
     return of_table(TABLE.replace(old, new))
 
 
+def sdlog2(folder: Path) -> list[str]:
+    """Write a log of PX4 before ULog: framed as ArduPilot's, with messages that hold the time."""
+    six = "AccX,AccY,AccZ,GyroX,GyroY,GyroZ"
+    formats = {
+        "PARM": ("Nf", "Name,Value"),
+        "TIME": ("Q", "StartTime"),
+        "IMU": ("Qffffff", f"T,{six}"),
+    }
+    rows: Rows = [(t, name, ()) for t in range(0, 10**6, 4000) for name in ("TIME", "IMU")]
+    return [str(write_dataflash(folder / "log001.px4log", rows, {"MC_ROLL_P": 6.5}, formats))]
+
+
+TELEMETRY = bytes.fromhex("000572ed02b6d368fe1afb01011b") + bytes(300)
+"""Start of a MAVLink telemetry log: microseconds since 1970, then a message of version 1."""
+
 NOISE = bytes(range(256)) * 40
 MOTORS = {("actuator_motors", 0): commands(IMU_NS[::4], VALUES[::4], "control")}
 NEVER_ON = {("actuator_motors", 0): commands(IMU_NS[::4], np.full((500, 12), np.nan), "control")}
@@ -314,6 +329,15 @@ REFUSED: list[tuple[str, Make]] = [
     ("flight.ulg' is empty", file("flight.ulg", b"")),
     ("of no known kind", file("flight.ulg", NOISE)),
     ("folder '.*multisine' is a ROS bag: give it to replay", lambda _: [str(BAGS / "multisine")]),
+    ("flight.zip' is an archive: unpack it", file("flight.zip", b"PK\x03\x04" + bytes(60))),
+    ("flight.ulg.gz' is an archive: unpack it", file("flight.ulg.gz", b"\x1f\x8b\x08" + bytes(60))),
+    ("flight.bag' is a ROS bag: give it to replay", file("flight.bag", b"#ROSBAG V2.0\n" + NOISE)),
+    ("a.mcap' is a ROS bag: give it to replay", file("a.mcap", b"\x89MCAP0\r\n" + NOISE)),
+    ("a.mat' is a MATLAB or HDF5 file: write", file("a.mat", b"MATLAB 5.0 MAT-file" + NOISE)),
+    ("a.log' is a dataflash log as text: give", file("a.log", b"FMT, 128, 89, FMT, BBnNZ, T\n")),
+    ("a.tlog' is a telemetry log of MAVLink, which is too", file("a.tlog", TELEMETRY)),
+    ("is a pointer of Git LFS: fetch", file("a.ulg", b"version https://git-lfs.github.com/spec\n")),
+    ("log001.px4log' is of sdlog2, PX4's format before ULog: write it into a CSV", sdlog2),
     ("short.ulg' is no readable ULog file", file("short.ulg", MAGIC + b"\1" + bytes(2))),
     ("it has no messages at all", file("short.ulg", MAGIC + b"\1" + bytes(8))),
     ("'/dev/zero' is no regular file", lambda folder: ["/dev/zero"]),

@@ -3,6 +3,7 @@
 
 import argparse
 import shlex
+import re
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -35,6 +36,17 @@ READERS = {
     blackbox.MAGIC: blackbox.read_blackbox,
 }
 """Readers by the first bytes of a log."""
+
+FOREIGN = {
+    rb"PK\x03\x04|\x1f\x8b|7z\xbc\xaf|\xfd7zXZ|BZh|\x28\xb5\x2f\xfd": "an archive: unpack it first",
+    rb"#ROSBAG V|\x89MCAP0|SQLite format 3": "a ROS bag: give it to replay as it is",
+    rb"MATLAB |\x89HDF": "a MATLAB or HDF5 file: write its signals into a CSV, and give --columns",
+    rb"FMT *, *\d": "a dataflash log as text: give the .bin that it was made from",
+    rb"\x00[\x04-\x07].{6}[\xfd\xfe]": "a telemetry log of MAVLink, which is too slow: give the "
+    "autopilot's own log (.bin, .ulg)",
+    rb"version https://git-lfs": "a pointer of Git LFS: fetch the file itself with 'git lfs pull'",
+}
+"""Files that cannot be read, by a pattern of their first bytes: what they are, and what to do."""
 
 WIDTH = 100
 
@@ -146,6 +158,9 @@ def _read(path: Path, options: argparse.Namespace) -> FlightLog:
     for magic, read in READERS.items():
         if start.startswith(magic):
             return read(path, choice)
+    for pattern, kind in FOREIGN.items():
+        if re.match(pattern, start, re.DOTALL):
+            raise ImportLogError(f"log '{path}' is {kind}")
     if options.columns is not None:
         if choice != Choice():
             raise ImportLogError(

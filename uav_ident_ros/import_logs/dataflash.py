@@ -27,6 +27,10 @@ FMT = 0x80
 MAGIC = HEADER + bytes([FMT])
 """First bytes of every dataflash log."""
 
+SDLOG2 = ("TIME", "StartTime")
+"""Type and field of the time in sdlog2, PX4's format before ULog, which has the same framing. No
+other message of it has a stamp."""
+
 TRAILER = 528
 """Largest page of a log, bytes: less than a page behind the last message is padding, no damage."""
 
@@ -63,10 +67,22 @@ class Kind:
 
 
 def read_dataflash(path: Path, types: Collection[str]) -> Log:
-    """Read messages of some types, texts and parameters of a dataflash log."""
+    """Read messages of some types, texts and parameters of a dataflash log.
+
+    Raises
+    ------
+    ImportLogError
+        If the log is of another format with the same framing.
+    """
     log, data = Log(path), path.read_bytes()
     found = _Dataflash(data)
     places, gaps = found.walk(0)
+    name, field = SDLOG2
+    if any(k.name == name and field in (k.dtype.names or ()) for k in found.kinds.values()):
+        raise log.refusal(
+            " is of sdlog2, PX4's format before ULog: write it into a CSV with PX4's "
+            f"sdlog2_dump.py, and give --columns (time {name}_{field} in us, rates IMU_Gyro*)"
+        )
     by_number = {number: array("q") for number in found.kinds}
     for at in places:
         by_number[data[at + 2]].append(at)
