@@ -43,6 +43,9 @@ ENOUGH_COVERAGE = 0.9
 """Lowest coverage of the flight, relative to the best, of messages that are taken: some topics are
 logged for a part of the flight alone."""
 
+AS_FAST = 0.9
+"""Share of the highest rate that counts as that rate: messages of one loop differ by a sample."""
+
 Force = FloatArray | None
 """Specific force at the stamps of the rates, (k, 3), m/s^2, if there is one."""
 
@@ -145,8 +148,8 @@ class Import:
     def _choose(self, usable: Usable) -> str:
         """Return the kind to take: the first that is fast enough and covers the flight.
 
-        If none is fast enough, the fastest that covers it. The findings list the kinds, and the
-        reason to reject each that is nearer to the sensor or the actuators.
+        If none is fast enough, the first that is as fast as any that covers it. The findings list
+        the kinds, and the reason to reject each that is nearer to the sensor or the actuators.
         """
         names = list(usable)
         stamps = {name: messages.stamp_ns for name, messages in usable.items()}
@@ -157,7 +160,8 @@ class Import:
         fast = [name for name in names if rates[name] >= ENOUGH_RATE]
         enough = ENOUGH_COVERAGE * max(shares[name] for name in fast or names)
         whole = [name for name in fast or names if shares[name] >= enough]
-        chosen = whole[0] if fast else max(whole, key=lambda name: rates[name])
+        enough_rate = ENOUGH_RATE if fast else AS_FAST * max(rates[name] for name in whole)
+        chosen = next(name for name in whole if rates[name] >= enough_rate)
         if len(names) > 1:
             listed = [f"{n} at {rates[n]:.4g} Hz over {100.0 * shares[n]:.0f} %" for n in names]
             self.findings.read.append(
