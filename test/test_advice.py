@@ -26,6 +26,7 @@ from uav_ident_ros.offline.advice import (
     LARGEST_NOISE,
     LOST_SHARE,
     NOISE_SHARE,
+    OFF_TRIM,
     SHORT_FLIGHT,
     SIGN_SIGMAS,
     SLOW_ACTUATORS,
@@ -103,6 +104,12 @@ OPEN = replace(SURE, total=0.03, lag=0.04, lag_sigma=0.025)
 
 def yaw(damping: float) -> dict[str, Any]:
     return {"values": with_entry(E.values, "rdot/r", damping)}
+
+
+def off_trim(ratio: float, structure: str = "throttle_coupled") -> dict[str, Any]:
+    """Return a median of dr, in standard deviations."""
+    median = E.input_spread * [0.0, ratio, 0.0, 0.0]
+    return {"input_median": median, "structure": STRUCTURES[structure]}
 
 
 def moves(*spread: float) -> dict[str, Any]:
@@ -215,6 +222,9 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      "101 of 10000 messages of the rates were dropped: 90 late, 11 not finite"),
     ("wrong_sign", yaw(0.1 * SIGN_SIGMAS * JUST_BELOW), yaw(0.1 * SIGN_SIGMAS * JUST_ABOVE),
      r"yaw damping \(rdot/r\) is positive"),
+    ("off_trim", off_trim(OFF_TRIM * JUST_BELOW), off_trim(-OFF_TRIM * JUST_ABOVE),
+     r"off their trim \(dr by -0.3 standard deviations\), and throttle_coupled has no constant"),
+    ("off_trim", off_trim(2.0, "augmented"), off_trim(2.0), r"\(dr by \+2.0 standard"),
     ("short_flight", {"duration": SHORT_FLIGHT * JUST_ABOVE},
      {"duration": SHORT_FLIGHT * JUST_BELOW}, "the flight is short, 59 s: excite it"),
     ("no_better_than_holding", {"fit": fit(model=[80.0, 20.1, 80.0], hold=20.0)},

@@ -14,7 +14,7 @@ from uav_ident_ros.files.meanings import (
     MEANINGS,
 )
 from uav_ident_ros.identification.speed import unmeasured
-from uav_ident_ros.identification.structure import INPUTS, ROWS
+from uav_ident_ros.identification.structure import CONSTANT, INPUTS, ROWS
 from uav_ident_ros.offline.evidence import ROW_FORCES, Evidence
 from uav_ident_ros.offline.tables import AXES
 
@@ -76,6 +76,10 @@ GROUNDED_SHARE = 0.9
 
 LOST_SHARE = 0.3
 """Share of the ticks lost to one gate that is reported."""
+
+OFF_TRIM = 0.25
+"""Median of an input in its standard deviations from which it is off its trim: a moment that is not
+in the model is then a quarter of the input's, as much as a verdict allows."""
 
 DAMPING = ("pdot/p", "qdot/q", "rdot/r")
 
@@ -297,6 +301,20 @@ def wrong_sign(e: Evidence) -> Iterator[str]:
             )
 
 
+def off_trim(e: Evidence) -> Iterator[str]:
+    """Yield the inputs that are off their trim, if the structure has no constant moment."""
+    if CONSTANT in e.structure.regressors:
+        return
+    ratios = e.input_median / np.where(e.input_spread < STILL, np.inf, e.input_spread)
+    off = [f"{n} by {r:+.1f}" for n, r in zip(INPUTS, ratios, strict=True) if abs(r) > OFF_TRIM]
+    if off:
+        yield (
+            f"in the median of the flight the inputs are off their trim ({', '.join(off)} standard "
+            f"deviations), and {e.structure.name} has no constant moment for that: set "
+            "'actuators.trim' to the median of each channel, or 'actuators.learn_trim_time'"
+        )
+
+
 def short_flight(e: Evidence) -> Iterator[str]:
     """Yield advice if the flight is too short to identify cross couplings."""
     if e.duration < SHORT_FLIGHT:
@@ -334,6 +352,7 @@ ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     gated,
     weak_excitation,
     wrong_setup,
+    off_trim,
     wrong_delay,
     wrong_lag,
     unknown_delay,

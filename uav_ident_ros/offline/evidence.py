@@ -53,6 +53,8 @@ class Evidence:
     # imu_rate, actuator_rate: Median rates of the messages, Hz; 0 if there are too few
     imu_rate: float
     actuator_rate: float
+    # (4,) Median of de, dr, da, dth: zero if the trim is that of this flight
+    input_median: FloatArray = field(default_factory=lambda: np.zeros(len(INPUTS)))
     delay: DelayEstimate = NO_ESTIMATE  # Estimate of the transport delay
     delay_in_use: float = 0.0  # Delay in use at the end, s
     lag_in_use: float = 0.0  # Servo lag in use at the end, s
@@ -103,6 +105,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         input_spread=inputs.std(axis=0) if len(inputs) else np.zeros(len(INPUTS)),
         imu_rate=_rate([part.t_ns for part in parts]),
         actuator_rate=_rate([part.inputs.t_ns for part in parts]),
+        input_median=np.median(inputs, axis=0) if len(inputs) else np.zeros(len(INPUTS)),
         delay=identifier.delays.estimate,
         delay_in_use=identifier.delay,
         lag_in_use=identifier.lag,
