@@ -232,6 +232,21 @@ def test_a_table_with_a_truncated_row_gives_all_other_rows(importer: Importer) -
     assert len(found.imu_t_ns) == 300
 
 
+@pytest.mark.parametrize(
+    ("weights", "structure"), [("de: 1.0", None), ("dr: 0.5, dth: 0.5", None),
+    ("de: -0.5, dth: 0.25", "augmented"), ("da: 0.5, dth: 0.25", "augmented")]
+)  # fmt: skip
+def test_channels_that_lift_and_roll_or_pitch_are_a_multirotors(
+    importer: Importer, weights: str, structure: str | None
+) -> None:
+    columns = COLUMNS.replace("de: 1.0", weights)
+    columns += "specific_force: {columns: [p, q, r], unit: m/s^2}\n"
+    _, values, printed = importer(*table(importer.folder, columns=columns))
+    assert values.get("structure") == structure
+    assert ("For a multirotor set 'structure' to 'augmented'" in printed) == (structure is None)
+    assert ("set airspeed.reference to the usual airspeed" in printed) == (structure is None)
+
+
 def test_unused_columns_may_share_a_name(importer: Importer) -> None:
     text = TABLE.replace("r,de", "r,note,,note,,de").replace("0.3,", "0.3,5,,6,,")
     found = importer(*table(importer.folder, text)).bag

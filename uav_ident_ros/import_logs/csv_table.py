@@ -156,7 +156,8 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
     """Read a table.
 
     A row is a sample of a stream if all the stream's cells have values; one channel suffices for
-    the actuators. Streams of different rates thus share a table with empty cells.
+    the actuators. Streams of different rates thus share a table with empty cells. A channel that
+    lifts and also rolls or pitches is a multirotor's motor.
     """
     log = Log(path, "table")
     try:
@@ -165,8 +166,15 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
         streams = _streams(log.messages("the table"), columns)
     except (*UNUSABLE, csv.Error) as error:
         raise ImportLogError(f"table '{path}': {problem(error)}") from None
+    channels = tuple(columns.channels.values())
+    hovers = any(dth and (de or da) for de, _, da, dth in (c.effect for c in channels))
     if "specific_force" not in columns.quantities:
         log.findings.lost.append("there is no accelerometer: ay and az are zero")
+    elif not hovers:
+        log.findings.assumed.append(
+            "the aircraft has wings: a table does not say so. For a multirotor set 'structure' to "
+            "'augmented'"
+        )
     log.findings.read.append(
         f"units and axes from the column map: rates in body axes {columns.axes}, times "
         f"{columns.quantities['rates'][1]:.6g} to rad/s"
@@ -179,10 +187,11 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
         path,
         log.title,
         streams,
-        tuple(columns.channels.values()),
+        channels,
         log.findings,
         convention=columns.axes,
         lever_arm=columns.lever_arm,
+        hovers=hovers,
     )
 
 
