@@ -87,8 +87,8 @@ STEP = 0.02
 
 RETURNING_SHARE = 0.1
 """Share of samples reversed by the next one from which there are two publishers. All but as large a
-share of the samples that differ from both neighbours are then reversed: with two publishers 95 % and
-more, in the oscillations of real multirotors 35 to 83 %."""
+share of the samples that differ from both neighbours are then reversed: 95 % and more with two
+publishers, 35 to 83 % in the oscillations of real multirotors."""
 
 
 @dataclass(frozen=True)

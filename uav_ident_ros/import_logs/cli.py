@@ -2,8 +2,8 @@
 """`import_log`: a PX4 or ArduPilot log, or a table, as a bag with the standard topics."""
 
 import argparse
-import shlex
 import re
+import shlex
 import sys
 import textwrap
 from collections.abc import Sequence
