@@ -24,7 +24,7 @@ from uav_ident_ros.identification.delay import SURE_SIGMA, DelayBank, DelayEstim
 from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import first_values
-from uav_ident_ros.identification.sampling import Block, FlowSignals
+from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
@@ -215,7 +215,7 @@ def judged(trial: Trial) -> Result:
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0
     for block in case.blocks(settings, given):
-        block.flow = observer.follow(block, first_values(structure), None)
+        block = observer.follow(block, first_values(structure), None)
         for k in range(0, len(block.u), PIECE):
             if bank.add(cut(block, k, trial.name), 0.0) and bank.estimate.total_sure:
                 off = abs(bank.estimate.total - true) / bank.estimate.total_sigma
@@ -226,9 +226,9 @@ def judged(trial: Trial) -> Result:
 def cut(block: Block, k: int, name: str) -> Block:
     """Return the k-th piece of `PIECE` cells; only aircraft have flow angles."""
     cells, edges = slice(k, k + PIECE), slice(k, k + PIECE + 1)
-    whole, flow = block.flow, None
-    if whole is not None and not name.startswith(("plant", "quadrotor")):
-        flow = FlowSignals(whole.states[edges], whole.airspeed)
+    flow = block.flow
+    if flow is not None:
+        flow = None if name.startswith(("plant", "quadrotor")) else flow[edges]
     return replace(
         block, t_ns=block.t_ns[edges], x=block.x[edges], u=block.u[cells], flow=flow,
         excitation=None if block.excitation is None else block.excitation[cells],

@@ -30,7 +30,6 @@ TESTS: dict[str, tuple[str, ...]] = {
         "test_speed.py",
         "test_properties.py",
     ),
-    "parallel_model": ("test_injected.py", "test_supervision.py"),
     "prior": ("test_prior.py", "test_resume.py", "test_rigid_body.py"),
     "residuals": ("test_noise.py", "test_feedback.py", "test_confirmation.py"),
     "sampling": ("test_sampling.py",),

@@ -6,7 +6,7 @@ import pytest
 
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Autoregression, Confirmation
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, STRUCTURES
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, MAIN_COLUMNS, STRUCTURES
 
 LAYOUT = layout(STRUCTURES["augmented"])
 DT = 0.05
@@ -54,8 +54,9 @@ class Flight:
         f[0, INPUT_COLUMNS] = u
         samples = Regression.of(measured[None], f, f, DT)
         sample = RowSamples.of(samples, (measured - estimated)[None], LAYOUT)
-        white = self._noise.whiten(sample, restarted=self.restarted)
-        effect = LAYOUT.main_effect(np.pad(ESTIMATED, ((0, 0), (8, 3))), white)
+        white = RowSamples(self._noise.whiten(sample.signals, DT, restarted=self.restarted), DT)
+        main = MAIN_COLUMNS - INPUT_COLUMNS.start
+        effect = ESTIMATED[range(3), main][:, None] * white.f[range(3), :, LAYOUT.main]
         variance = self._noise.variance
         self.confirmed.add(
             white, effect, variance, self.max_age, self.answers, restarted=self.restarted

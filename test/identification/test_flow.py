@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prior import first_values, slope_bounds
 from uav_ident_ros.identification.regression import StateVariableFilter
-from uav_ident_ros.identification.sampling import Block, FlowSignals
+from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
@@ -53,9 +54,9 @@ def observed(
     angles, attitude = [], []
     values = first_values(FLIGHT) if values is None else values
     for block in blocks(x, force, u, h):
-        signals = observer.follow(block, values, airspeed)
-        angles.append(signals.angles[1:])
-        down = signals.down[1:]
+        state = observer.follow(block, values, airspeed).state[1:]
+        angles.append(state[:, 3:5])
+        down = state[:, 5:]
         np.testing.assert_allclose(np.linalg.norm(down, axis=1), 1.0, atol=1e-4)
         attitude.append(np.stack([np.arctan2(down[:, 1], down[:, 2]), -np.arcsin(down[:, 0])], 1))
     return np.concatenate(angles), np.concatenate(attitude)
@@ -190,7 +191,7 @@ def test_a_roll_in_a_sideslip_changes_alpha_as_the_kinematics_row_predicts() -> 
                      np.cos(states[:, 5]) * level], axis=1)  # fmt: skip
     whole = np.concatenate((states[:, :5], down), axis=1)
     (block,) = blocks(states[:, :3], force, u, h, len(u))
-    block.flow = FlowSignals(whole, SPEED)
+    block = replace(block, flow=whole, airspeed=SPEED)
     found = StateVariableFilter(FLIGHT, CUTOFF, h, np.zeros(3)).apply(block, whole, None, a)
     columns = [FLIGHT.size + 1, -2, FLIGHT.column("1")]  # kinematics, de's slope, bias
     slopes, *_ = np.linalg.lstsq(found.f[:, columns], found.y[:, 4], rcond=None)

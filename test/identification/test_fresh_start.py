@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight after carrying the aircraft with moving surfaces: learning begins anew in the air."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import flying
@@ -11,9 +10,9 @@ from light_aircraft import TRUTH
 from verdict_flights import carried
 
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
-from uav_ident_ros.identification.estimators.estimator import known_inputs
+from uav_ident_ros.identification.estimators.model_error import known_inputs
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 
 CARRIED = 20.0
 """Time of carrying before the launch, s."""
@@ -54,15 +53,13 @@ def test_a_custom_estimator_shared_by_both_estimates_learns_once() -> None:
     np.testing.assert_array_equal(once.coefficients, usual.coefficients)
 
 
-def estimator_with(t_ratio: float, model_error: float = 0.0) -> Any:
-    """An estimator with this t-ratio of rdot/dr without its model error."""
+def estimate_with(t_ratio: float, model_error: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients, sigma and model error with this t-ratio of rdot/dr without its model error."""
     coefficients, sigma = np.zeros(FLIGHT.mask.shape), np.ones(FLIGHT.mask.shape)
     at = FLIGHT.index("rdot/dr")
     coefficients[at] = t_ratio
     sigma[at] = np.hypot(1.0, model_error * t_ratio)
-    return SimpleNamespace(
-        coefficients=coefficients, sigma=sigma, model_error=np.full(3, model_error)
-    )
+    return coefficients, sigma, np.full(3, model_error)
 
 
 @pytest.mark.parametrize(
@@ -72,4 +69,5 @@ def test_a_model_error_does_not_make_an_input_unknown(
     t_ratio: float, model_error: float, known: bool
 ) -> None:
     """An unmodelled servo lag is a model error and no reason to begin anew."""
-    assert known_inputs(estimator_with(t_ratio, model_error)).tolist() == [False, False, known]
+    found = known_inputs(*estimate_with(t_ratio, model_error))
+    assert found.tolist() == [False, False, known]

@@ -15,9 +15,9 @@ from uav_ident_ros.identification.gates import (
     ROW_GATES,
     Gates,
     Look,
+    Outliers,
     RestGate,
     SensorGate,
-    SpikeFilter,
 )
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, Drop
@@ -380,11 +380,11 @@ def test_a_clock_step_of_the_inputs_is_no_change_of_the_aircraft() -> None:
 
 def spikes_of(column: FloatArray, ticks: int = 5) -> list[int]:
     """Samples that the filter removes from one signal, filtered `ticks` samples at a time."""
-    samples, found = np.zeros((len(column), 6)), SpikeFilter()
+    samples, found = np.zeros((len(column), 6)), Outliers()
     samples[:, 1] = column
     out: list[int] = []
     for k in range(0, len(column), ticks):
-        which = found.find(samples[k : k + ticks], 0.05)
+        _, which = found.find(samples[k : k + ticks], 0.05, max_rate=0.0)
         out += [] if which is None else (k + np.flatnonzero(which)).tolist()
     return out
 

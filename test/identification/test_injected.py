@@ -12,7 +12,7 @@ from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.parallel_model import ParallelModel
+from uav_ident_ros.identification.model import ParallelModel
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.samples import EXCITATION, Drop
@@ -152,7 +152,7 @@ def test_a_second_of_a_poor_model_does_not_outweigh_a_minute() -> None:
             z = f.copy()
             z[:, RATE_COLUMNS] *= response
             samples = Regression.of(y, f, z, dt, injected=True)
-            residual = estimator.residual(samples)
+            residual = samples.residual(estimator.linear)
             rows = RowSamples.of(samples, residual, problem)
             estimator.update(samples, rows, rows, np.ones(3))
 
@@ -165,13 +165,13 @@ def test_a_second_of_a_poor_model_does_not_outweigh_a_minute() -> None:
 def test_the_response_to_injected_signals_lasts_two_seconds() -> None:
     """After a few periods of the short modes the instruments follow all inputs again."""
     structure = STRUCTURES["augmented"]
-    model, still = ParallelModel(Settings(), structure), np.zeros((11, 3))
+    model, still = ParallelModel(structure, np.zeros(3)), np.zeros((11, 3))
     injected_only = []
     for k in range(100):
         excitation = np.full((10, 4), 0.1 if k < 20 else 0.0)
         t_ns = (10 * k + np.arange(11)) * 5 * MS
         block = Block(t_ns, 0.005, still, excitation, still, k == 0, excitation)
-        injected_only.append(model.follow(block, np.zeros(structure.mask.shape), None, 0.0)[1])
+        injected_only.append(model.follow(block, np.zeros(structure.mask.shape), 0.0)[1])
     assert injected_only[:20] == [True] * 20
     assert sum(injected_only[20:]) * 0.05 == pytest.approx(2.0, abs=0.06)
 

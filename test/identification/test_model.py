@@ -12,7 +12,7 @@ from uav_ident_ros.identification.model import (
     plan_steps,
     with_measured_force,
 )
-from uav_ident_ros.identification.sampling import Block, FlowSignals
+from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 
@@ -38,8 +38,8 @@ def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> Block:
     t_ns = np.rint(np.arange(m + 1) * h * 1e9).astype(np.int64)
     x = np.tile(START[:3], (m + 1, 1))
     whole = np.tile(with_down(START), (m + 1, 1))
-    flow = FlowSignals(whole, SPEED)
-    return Block(t_ns, h, x, u, np.zeros((m + 1, 3)), restarted, flow=flow)
+    force = np.zeros((m + 1, 3))
+    return Block(t_ns, h, x, u, force, restarted, flow=whole, airspeed=SPEED)
 
 
 @pytest.mark.parametrize("h", [0.001, 0.005, 0.0125, 0.025])

@@ -28,7 +28,7 @@ def whiten(model: Autoregression, residual: np.ndarray, restarted: bool = False)
     """Whiten residuals (m, rows), with regressors that are their multiples."""
     f = residual[:, :1] * [1.0, -3.0]
     rows = [np.column_stack((e, 2.0 * e, f, f)) for e in residual.T]
-    return model.whiten(RowSamples(np.array(rows), DT), restarted=restarted)
+    return RowSamples(model.whiten(np.array(rows), DT, restarted=restarted), DT)
 
 
 def test_the_autoregression_of_each_row_is_estimated() -> None:

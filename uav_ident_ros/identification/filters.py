@@ -86,19 +86,6 @@ class BlockFilter:
         self._response = (free, left, right)
         self._kernels: dict[int, FloatArray] = {}
 
-    def _kernel(self, m: int) -> FloatArray:
-        """Return the matrix from initial state and inputs over `m` cells to the states."""
-        if m not in self._kernels:
-            free, left, right = self._response
-            d = len(free)
-            kernel = np.zeros((d, m, d + m + 1 + m))
-            kernel[..., :d] = free[:, :m]
-            kernel[..., d : d + m] = kernel[..., d + m + 1 :] = left[:, :m, :m]
-            kernel[..., d + 1 : d + m + 1] += right[:, :m, :m]
-            kernel[..., d + m + 1 :] += right[:, :m, :m]
-            self._kernels[m] = kernel.reshape(d * m, -1)
-        return self._kernels[m]
-
     @staticmethod
     def _forced(powers: FloatArray, b: FloatArray) -> FloatArray:
         """Return lower-triangular Toeplitz matrices of the impulse response, shape (d, m, m)."""
@@ -122,8 +109,16 @@ class BlockFilter:
         for start in range(0, len(held), BLOCK):
             u = held[start : start + BLOCK]
             m = len(u)
+            if m not in self._kernels:  # from initial state and inputs over m cells to the states
+                free, left, right = self._response
+                kernel = np.zeros((d, m, d + m + 1 + m))
+                kernel[..., :d] = free[:, :m]
+                kernel[..., d : d + m] = kernel[..., d + m + 1 :] = left[:, :m, :m]
+                kernel[..., d + 1 : d + m + 1] += right[:, :m, :m]
+                kernel[..., d + m + 1 :] += right[:, :m, :m]
+                self._kernels[m] = kernel.reshape(d * m, -1)
             known = np.concatenate((self.state, lines[start : start + m + 1], u))
-            states = (self._kernel(m) @ known).reshape(d, m, channels)
+            states = (self._kernels[m] @ known).reshape(d, m, channels)
             self.state = states[:, -1].copy()
             parts.append(states)
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)

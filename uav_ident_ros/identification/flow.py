@@ -9,13 +9,14 @@ corrected towards the angle at which the force rows give the measured force.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import asin, atan2, cos, exp, inf, sin
 from typing import NamedTuple
 
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY, LARGEST_ANGLE, plan_steps
-from uav_ident_ros.identification.sampling import Block, FlowSignals
+from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
@@ -122,8 +123,8 @@ class FlowObserver:
         block: Block,  # Measured signals over m cells
         coefficients: FloatArray,  # (7, n) A_m; its force rows convert forces to angles
         airspeed: float | None,  # True, m/s; None if none is measured
-    ) -> FlowSignals:
-        """Observe attitude and flow angles over a block."""
+    ) -> Block:
+        """Return a block with the attitude and flow angles observed over it."""
         v = self._reference
         if airspeed is not None and airspeed > v / LARGEST_RATIO:
             v = airspeed
@@ -142,18 +143,30 @@ class FlowObserver:
         edges = [(*self.angles, *self.down)]
         for dt, sample in zip(plan.times, samples, strict=True):
             rates, force = sample[:3], sample[-3:]
-            m, weight = _gravity(force, rates, v)
-            self._turn(dt, rates, m, ATTITUDE_GAIN * weight)
+            p, q, r = rates
+            # Gravity turns against the aircraft, and is corrected towards that of the sample.
+            (mx, my, mz), weight = _gravity(force, rates, v)
+            (gx, gy, gz), (bx, by, bz), gain = self.down, self._bias, ATTITUDE_GAIN * weight
+            ex, ey, ez = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
+            integral = 0.25 * ATTITUDE_GAIN * gain * dt  # critically damped
+            bx, by, bz = self._bias = (bx - integral * ex, by - integral * ey, bz - integral * ez)
+            wx, wy, wz = p - bx + gain * ex, q - by + gain * ey, r - bz + gain * ez
+            x = gx - dt * (wy * gz - wz * gy)
+            y = gy - dt * (wz * gx - wx * gz)
+            z = gz - dt * (wx * gy - wy * gx)
+            size = (x * x + y * y + z * z) ** 0.5
+            self.down = (x / size, y / size, z / size)
+            # The flow angles: exact for signals that are constant over the step
             measured = _measured_angles(sample, forces)
-            # Exact for signals that are constant over the step
-            (p, q, r), (beta, alpha), keep = rates, self.angles, exp(-self._rate * dt)
+            (beta, alpha), keep = self.angles, exp(-self._rate * dt)
             for k, turning in ((0, p * alpha - r), (1, q - p * beta)):
                 by_p, bias = missing[k]
                 rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v
                 aim = measured[k] + (rate + by_p * p + bias) / self._rate
                 self.angles[k] = aim + keep * (self.angles[k] - aim)
             edges.append((*self.angles, *self.down))
-        return FlowSignals(np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1), v)
+        states = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
+        return replace(block, flow=states, airspeed=v)
 
     def _restart(self, sample: list[float], forces: list[Force], v: float) -> None:
         """Initialise attitude and flow angles from the first sample."""
@@ -161,19 +174,6 @@ class FlowObserver:
         if weight > 0.0:
             self.down = direction
         self.angles = _measured_angles(sample, forces)
-
-    def _turn(self, dt: float, rates: list[float], m: Vector, gain: float) -> None:
-        """Rotate the direction of gravity with the aircraft, and correct it towards `m`."""
-        (p, q, r), (mx, my, mz), (gx, gy, gz), (bx, by, bz) = rates, m, self.down, self._bias
-        ex, ey, ez = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
-        integral = 0.25 * ATTITUDE_GAIN * gain * dt  # critically damped
-        bx, by, bz = self._bias = (bx - integral * ex, by - integral * ey, bz - integral * ez)
-        p, q, r = p - bx + gain * ex, q - by + gain * ey, r - bz + gain * ez
-        x = gx - dt * (q * gz - r * gy)
-        y = gy - dt * (r * gx - p * gz)
-        z = gz - dt * (p * gy - q * gx)
-        size = (x * x + y * y + z * z) ** 0.5
-        self.down = (x / size, y / size, z / size)
 
 
 def _measured_angles(sample: list[float], forces: list[Force]) -> list[float]:

@@ -3,15 +3,16 @@
 
 The gates are a table: name, setting, predicate. Each evaluates the signals of a tick and returns
 the reason to pause, or none. The ticks that it cost are counted under its name. Thresholds are
-relative to the aircraft's own noise where possible. The gates of single rows weigh their samples,
-by residual and by excitation.
+relative to the aircraft's own noise where possible. Two gates of single rows weigh their samples:
+`ExcitationGate`, and by residual `Supervisor.weigh`.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +22,7 @@ from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     IN_A_ROW,
     INDEPENDENT_TIME,
-    LONG_MEMORY,
     LOOK_TIME,
-    OUTLYING,
     RESPONSE_TIME,
     REST_SWAY,
     SHORT_MEMORY,
@@ -32,7 +31,7 @@ from uav_ident_ros.identification.scales import (
 )
 from uav_ident_ros.identification.settings import ActuatorSettings, Settings, SupervisionSettings
 from uav_ident_ros.identification.speed import slowest
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, ROWS, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, BoolArray, FloatArray
 
 NOISE_SWING = 2.0 * DOUBTLESS
 """Peak-to-peak swing of noise over two seconds, in standard deviations: `DOUBTLESS` both ways is
@@ -101,7 +100,8 @@ class Gates:
     def __init__(self, more: Sequence[Gate] = ()) -> None:  # Additional gates
         self._more = more
         self._ticks = 0
-        self._closed: Counter[str] = Counter()
+        # Ticks that each gate cost; those of `ROW_GATES` as a share of all rows
+        self.lost: defaultdict[str, float] = defaultdict(float)
         self._reasons = {name: reason for name, (_, reason) in ROW_GATES.items()}
         self.restart()
 
@@ -144,12 +144,8 @@ class Gates:
             self.unreadable = self.unreadable or gate.unreadable
             if not self.closed:
                 self.closed = self._reasons[gate.name] = reason
-                self._closed[gate.name] += 1
+                self.lost[gate.name] += 1.0
         return self.closed
-
-    def charge(self, name: str, ticks: float) -> None:
-        """Charge a gate of `ROW_GATES` with ticks, as a share of all rows."""
-        self._closed[name] += ticks  # type: ignore[assignment]
 
     def costs(self) -> dict[str, Cost]:
         """Return the cost of each gate that was closed, by name, the highest first."""
@@ -157,7 +153,7 @@ class Gates:
         settings.update({name: setting for name, (setting, _) in ROW_GATES.items()})
         return {
             name: Cost(count / self._ticks, settings[name], self._reasons[name])
-            for name, count in self._closed.most_common()
+            for name, count in sorted(self.lost.items(), key=itemgetter(1), reverse=True)
             if count > 0
         }
 
@@ -192,37 +188,17 @@ class TickMeans:
         return self._means
 
 
-class GlitchFilter:
-    """Filter for glitches: gyro samples at the range for an instant, which no motion causes."""
+class Outliers:
+    """Filter for samples of the Imu that no motion causes: glitches and spikes.
 
-    def __init__(self) -> None:
-        self._run = 0
-
-    def find(
-        self,
-        rates: FloatArray,  # (k, 3) New samples, rad/s, Imu axes
-        max_rate: float,  # Range of the gyro, rad/s; 0 if it is not known: nothing is a glitch
-    ) -> BoolArray | None:
-        """Return the mask of the glitches, shape (k,); None if all are within the range."""
-        if max_rate <= 0.0 or not len(rates) or np.maximum.reduce(np.abs(rates), None) < max_rate:
-            self._run = 0
-            return None
-        out = np.zeros(len(rates), dtype=bool)
-        for k, far in enumerate((np.abs(rates) >= max_rate).any(axis=1).tolist()):
-            self._run = self._run + 1 if far else 0
-            out[k] = 0 < self._run < IN_A_ROW
-        return out
-
-
-class SpikeFilter:
-    """Filter for spikes: single samples far beyond both neighbours, which no motion causes.
-
-    A sample between its neighbours stays; thus steps stay, however steep. The threshold is
-    `NOISE_SWING` times the recent rms of the signal. A vibration at half the sampling rate reaches
-    2.8 times its rms.
+    A glitch is a gyro sample at the range for an instant. A spike is a single sample far beyond
+    both neighbours. A sample between its neighbours stays; thus steps stay, however steep. The
+    threshold is `NOISE_SWING` times the recent rms of the signal. A vibration at half the sampling
+    rate reaches 2.8 times its rms.
     """
 
     def __init__(self) -> None:
+        self._at_range = 0  # Number of consecutive samples at the range, up to the newest
         self._square: FloatArray = np.zeros(len(SIGNALS))
         self._time = 0.0
         # Last sample, and last one that was not a spike
@@ -233,27 +209,38 @@ class SpikeFilter:
         self,
         samples: FloatArray,  # (k, 6) New samples
         dt: float,  # Time that they cover, s
-    ) -> BoolArray | None:
-        """Return the mask of the spikes, shape (k,); None if there is none.
+        max_rate: float,  # Range of the gyro, rad/s; 0 if it is not known: nothing is a glitch
+    ) -> tuple[BoolArray | None, BoolArray | None]:
+        """Return the masks of the glitches, and of the spikes among the others; None for none.
 
         The last sample has no successor yet: the last one that was not a spike stands in for it.
         """
+        glitches = spikes = None
+        rates = samples[:, :AXES]
+        if len(samples) and np.maximum.reduce(np.abs(rates), None) >= max_rate > 0.0:
+            glitches = np.zeros(len(samples), dtype=bool)
+            for k, far in enumerate((np.abs(rates) >= max_rate).any(axis=1).tolist()):
+                self._at_range = self._at_range + 1 if far else 0
+                glitches[k] = 0 < self._at_range < IN_A_ROW
+            samples = samples[~glitches]
+        else:
+            self._at_range = 0
         if not len(samples):
-            return None
+            return glitches, None
         if self._last is None:
             self._last = self._kept = samples[0]
-        rows, which = np.concatenate((self._last[None], samples)), None
+        rows = np.concatenate((self._last[None], samples))
         if self._time >= INDEPENDENT_TIME:
             limit = NOISE_SWING * np.sqrt(self._square)
             if np.logical_or.reduce(np.abs(rows[1:] - rows[:-1]) > limit, axis=None):
-                which = self._far(rows, limit)
-        if which is None:
+                spikes = self._far(rows, limit)
+        if spikes is None:
             self._kept = samples[-1]
         self._last = samples[-1]
         self._time = min(self._time + dt, SHORT_MEMORY)
         mean = np.add.reduce(samples * samples) / len(samples)
         self._square += dt / self._time * (mean - self._square)
-        return which
+        return glitches, spikes
 
     def _far(self, rows: FloatArray, limit: FloatArray) -> BoolArray | None:
         """Return the mask of the rows after the first that exceed both neighbours by `limit`."""
@@ -296,26 +283,21 @@ class SensorGate:
             size = [max(high[i], -low[i]) for i in range(AXES)]
             stuck = self._stuck(t, high, low, settings.stuck_time)
             self._last = samples[-1].tolist()
-            problem = (
-                _at_range(size, [settings.max_rate or math.inf] * AXES)
-                or stuck
-                or self._clipped(size)
-            )
+            problem = _at_range(size, [settings.max_rate or math.inf] * AXES) or stuck
+            if not problem:
+                # A range below the configured one: a rate repeats its largest value so far.
+                for i, largest in enumerate(size):
+                    if largest > self._range[i]:
+                        self._range[i] = math.inf
+                    self._largest[i] = max(self._largest[i], largest)
+                    if self._moved[i] < math.inf and abs(self._last[i]) >= self._largest[i]:
+                        stays = self._repeats.present[i] >= IN_A_ROW - 1
+                        if stays and self._repeats.by_chance()[i] < CHANCE:
+                            self._range[i] = self._largest[i]
+                problem = _at_range(size, self._range)
             if problem:
                 self._reason, self._bad_until = problem, t + INDEPENDENT_TIME
         return self._reason if t < self._bad_until else ""
-
-    def _clipped(self, size: list[float]) -> str:
-        """Detect a range below the configured one: a rate repeats its largest value so far."""
-        for i, largest in enumerate(size):
-            if largest > self._range[i]:
-                self._range[i] = math.inf
-            self._largest[i] = max(self._largest[i], largest)
-            if self._moved[i] < math.inf and abs(self._last[i]) >= self._largest[i]:
-                stays = self._repeats.present[i] >= IN_A_ROW - 1
-                if stays and self._repeats.by_chance()[i] < CHANCE:
-                    self._range[i] = self._largest[i]
-        return _at_range(size, self._range)
 
     def _stuck(self, t: float, high: list[float], low: list[float], stuck_time: float) -> str:
         """Detect a signal that has moved and repeats one value for unusually long."""
@@ -430,21 +412,17 @@ class RestGate:
         means = self._means.until(t)[:, 1:]
         if len(means):
             self._looked = t
-            what = _still(means, settings.min_motion, settings.min_force_motion)
+            swing = np.maximum.reduce(means) - np.minimum.reduce(means)
+            rate, what = float(swing[:AXES].max()), ""
+            if rate < settings.min_motion and rate < max(
+                REST_SWAY, NOISE_SWING * _noise(means[:, :AXES])
+            ):
+                what = "no rate moves beyond the gyro's noise"
+            elif swing[AXES:].max() < settings.min_force_motion:
+                what = f"no specific force has moved by {settings.min_force_motion:g} m/s^2"
             flies = look.airspeed is not None and look.airspeed > slowest(look.settings.airspeed)
             self._reason = what and f"{'too quiet' if flies else 'at rest'}: {what}"
         return self._reason
-
-
-def _still(means: FloatArray, min_motion: float, min_force_motion: float) -> str:
-    """Return the signals at rest, from the means of some ticks, (n, 6); empty if all move."""
-    swing = np.maximum.reduce(means) - np.minimum.reduce(means)
-    rate = float(swing[:AXES].max())
-    if rate < min_motion and rate < max(REST_SWAY, NOISE_SWING * _noise(means[:, :AXES])):
-        return "no rate moves beyond the gyro's noise"
-    if swing[AXES:].max() < min_force_motion:
-        return f"no specific force has moved by {min_force_motion:g} m/s^2"
-    return ""
 
 
 def _noise(rates: FloatArray) -> float:
@@ -465,46 +443,6 @@ def at_limit(raw: FloatArray, settings: ActuatorSettings) -> str:
     low, high = settings.lower_limit or -np.inf, settings.upper_limit or np.inf
     at = np.logical_or.reduce((raw <= np.array(low)) | (raw >= np.array(high)))
     return f"channel {settings.channels[int(at.argmax())]} is at its limit" if at.any() else ""
-
-
-class ResidualGate:
-    """Robust weighting of samples with unusually large residuals.
-
-    The weight falls with the size of the residual. It is zero far above the usual size, or where
-    the effect of the inputs does not exceed the disturbance, as in a storm with feedback. The usual
-    size grows slowly, and never in a storm.
-    """
-
-    def __init__(self) -> None:
-        self._usual = [0.0] * len(ROWS)  # Mean squares of the residuals, rad^2/s^4
-        self._time = [0.0] * len(ROWS)  # Time over which they were taken, s
-
-    def release(self, row: int) -> None:
-        """Estimate the usual size of a row's residual anew."""
-        self._time[row] = 0.0
-
-    def weigh(
-        self,
-        residual: FloatArray,  # (m, 3) Of the samples, rad/s^2
-        dt: float,  # Time that they cover, s
-        max_residual: float,  # Limit relative to the usual size; 0 for none
-        clear: BoolArray,  # (3,) Rows in which the effect of the inputs exceeds the disturbance
-    ) -> FloatArray:
-        """Return the weight of the samples of a tick in each row, shape (3,), 0 ... 1."""
-        squares = (np.add.reduce(residual * residual) / len(residual)).tolist()
-        weights = []
-        for i, (square, stands_out) in enumerate(zip(squares, clear.tolist(), strict=True)):
-            usual = self._usual[i] if self._time[i] >= SHORT_MEMORY else math.inf
-            self._time[i] = min(self._time[i] + dt, LONG_MEMORY)
-            clipped = min(square, OUTLYING * usual if stands_out else usual)
-            self._usual[i] += dt / self._time[i] * (clipped - self._usual[i])
-            if max_residual <= 0.0 or square <= OUTLYING * usual:
-                weights.append(1.0)
-            elif stands_out and square <= max_residual * max_residual * usual:
-                weights.append(OUTLYING * usual / square)
-            else:
-                weights.append(0.0)
-        return np.array(weights)
 
 
 class ExcitationGate:

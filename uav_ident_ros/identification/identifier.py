@@ -10,22 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayBank, DelayEstimate
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
-from uav_ident_ros.identification.estimators.estimator import SecondEstimator, known_inputs
+from uav_ident_ros.identification.estimators.estimator import SecondEstimator
+from uav_ident_ros.identification.estimators.model_error import known_inputs
 from uav_ident_ros.identification.excitation_run import Flying
+from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.frames import BodyFrame
-from uav_ident_ros.identification.gates import Gate, GlitchFilter, Look, SpikeFilter, grounded
-from uav_ident_ros.identification.parallel_model import (
-    ParallelModel,
-    RunningFit,
-    Stretch,
-    Stretches,
-)
+from uav_ident_ros.identification.gates import Gate, Look, Outliers, grounded
+from uav_ident_ros.identification.model import ParallelModel
 from uav_ident_ros.identification.plausibility import Plausibility, SetupErrors, clock_step
 from uav_ident_ros.identification.prior import Start, resumed, start_from, without_flow
 from uav_ident_ros.identification.regression import (
@@ -48,17 +46,18 @@ from uav_ident_ros.identification.samples import (
     Intake,
     SampleBuffer,
 )
-from uav_ident_ros.identification.sampling import Block, Sampler
+from uav_ident_ros.identification.sampling import Block, Sampler, edge_values, join
 from uav_ident_ros.identification.scales import (
     INDEPENDENT_TIME,
     LOOK_TIME,
     SAMPLE_TIME,
     START_TIME,
+    SURE,
 )
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
-from uav_ident_ros.identification.speed import SpeedScaling, slowest
-from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
-from uav_ident_ros.identification.supervision import JUDGED_FROM, State, Supervisor
+from uav_ident_ros.identification.speed import SpeedScaling
+from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, STRUCTURES, FloatArray
+from uav_ident_ros.identification.supervision import JUDGED_FROM, RunningFit, State, Supervisor
 
 STRETCH_TIME = 4.0 * SAMPLE_TIME
 """Duration of the samples in one update, s: the cost of an update hardly depends on their number.
@@ -67,6 +66,27 @@ less of simulated ones. Samples of an Imu slower than `SAMPLE_TIME` are used at 
 
 START_LEAK_TIME = 0.5 * INDEPENDENT_TIME
 """Time constant of the leak until `START_TIME`, s: with poor coefficients rate products diverge."""
+
+
+class Stretch(NamedTuple):
+    """Consecutive blocks of samples, and the identified model beside them."""
+
+    block: Block  # Measured signals over m cells
+    states: FloatArray  # (m + 1, 3 or 8) State of the identified model at the edges
+    learns: bool  # Whether the gates are open
+    readable: bool  # Whether it may be scored
+    injected: bool  # Whether the states are the response to the injected signals only
+    blocks: int = 1  # Number of blocks, one a tick
+
+    @classmethod
+    def joined(cls, parts: list[Stretch]) -> Stretch:
+        """Join stretches that continue one another, with the same flags; the list is cleared."""
+        first, *more = parts
+        if more:
+            block, states = join([p.block for p in parts]), edge_values([p.states for p in parts])
+            first = first._replace(block=block, states=states, blocks=len(parts))
+        parts.clear()
+        return first
 
 
 class OnlineIdentifier:
@@ -206,7 +226,12 @@ class OnlineIdentifier:
         self._speed = SpeedScaling(self.settings.airspeed, self.structure)
         self.sampler.delay, self.sampler.time_constant = delay, lag
         self.delays = DelayBank(actuators.longest_delay, lag)
-        self._parallel = ParallelModel(self.settings, self.structure)
+        arm = np.array(self.settings.imu.lever_arm)
+        self._parallel = ParallelModel(self.structure, arm)
+        self._flow: FlowObserver | None = None  # Without flow angles
+        if self.structure.has_flow:
+            cutoff, speed = self.settings.filter.cutoff, self.settings.airspeed.reference
+            self._flow = FlowObserver(self.structure, cutoff, speed)
         self._has_accelerometer: bool | None = None
         self.running_fit = RunningFit(self.structure, self._parallel.model)
         self._saved = None
@@ -234,15 +259,15 @@ class OnlineIdentifier:
     def restart(self) -> None:
         """Begin a new time base: clear buffers and filters, keep the coefficients."""
         self.sampler.restart()
-        self._speed.airspeed.clear()
+        self._speed.restart()
         self._armed.clear()
         self.supervisor.gates.restart()
         self.plausibility.restart()
-        self._glitches, self._spikes = GlitchFilter(), SpikeFilter()
+        self._outliers = Outliers()
         self.intake.restart()
         self._noted_steps = 0
         self._filter: StateVariableFilter | None = None
-        self._stretches = Stretches()
+        self._parts: list[Stretch] = []  # Of the next stretch
         self._news = True
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
@@ -272,44 +297,37 @@ class OnlineIdentifier:
         Information collected with another delay is biased, by tens of percent for 60 ms. It holds
         the coefficients until new data arrive, with the weight of `INDEPENDENT_TIME` of flight.
         """
-        looked = self.delays.add(block, self.delay, bool(self.estimator.learning.any()))
-        if not looked or not self.settings.actuators.estimate_delay:
+        sampler, actuators = self.sampler, self.settings.actuators
+        looked = self.delays.add(block, sampler.delay, bool(self.estimator.learning.any()))
+        if not looked or not actuators.estimate_delay:
             return
-        estimate, before = self.delays.estimate, (self.delay, self.lag)
-        if lag_off := estimate.lag_off(self.lag):
-            self.sampler.time_constant = self.lag + lag_off
-            longest = self.settings.actuators.longest_delay
-            self.delays = DelayBank(longest, self.lag, self.delays)
-            self.sampler.delay = max(self.delays.estimate.delay, 0.0)
+        estimate, before = self.delays.estimate, (sampler.delay, sampler.time_constant)
+        if lag_off := estimate.lag_off(sampler.time_constant):
+            sampler.time_constant += lag_off
+            self.delays = DelayBank(actuators.longest_delay, sampler.time_constant, self.delays)
+            sampler.delay = max(self.delays.estimate.delay, 0.0)
         elif estimate.sure:
-            self.sampler.delay = max(self.delay + estimate.off(self.delay), 0.0)
-        if (self.delay, self.lag) != before:
+            sampler.delay = max(sampler.delay + estimate.off(sampler.delay), 0.0)
+        if (sampler.delay, sampler.time_constant) != before:
             self.estimator.forget(min(INDEPENDENT_TIME / self._learned_time, 1.0))
             self._learned_time = 0.0
 
     def flying(self) -> Flying:
         """Return the flight state at the last tick."""
-        flow = self._parallel.flow
-        roll, pitch = (None, None) if flow is None else flow.attitude
+        roll, pitch = (None, None) if self._flow is None else self._flow.attitude
         newest, speed = self._newest_rates, self._speed
         return Flying(
             None if newest is None else self._frame.to_body(newest),
             roll,
             pitch,
             airspeed=speed.newest,
-            grounded=grounded(self.settings, self.supervisor.armed, speed.newest)
-            or speed.silence(self._looked_ns),
+            grounded=grounded(self.settings, self.supervisor.armed, speed.newest) or speed.silence,
         )
 
     @property
     def speed_believed(self) -> bool:
-        """Whether the speed scaling is valid.
-
-        It is where no airspeed is measured, or where it is high enough and up to date.
-        """
-        speed = self._speed
-        high_enough = speed.newest is None or speed.newest >= slowest(self.settings.airspeed)
-        return high_enough and not speed.silence(self._looked_ns)
+        """Whether the speed scaling is valid."""
+        return self._speed.believed
 
     # -- samples in ------------------------------------------------------------------------
     #
@@ -402,7 +420,8 @@ class OnlineIdentifier:
                 if stretch.learns:  # all gates were open
                     self._estimate(samples.means(), int(stretch.block.t_ns[-1]), stretch.blocks)
                     self._adopt_delay(stretch.block)
-        return self._judge(t_ns)
+        self._judge(t_ns)
+        return self._publish(t_ns)
 
     def _check_signals(self, t_ns: int) -> None:
         """Check the samples of this tick: drop glitches, then evaluate plausibility and gates."""
@@ -414,8 +433,11 @@ class OnlineIdentifier:
         if not self._as_paper:  # the paper's law has no gates on the signals
             new = rates.after(self._looked_ns)
             max_rate, dt = settings.supervision.max_rate, 1.0 / settings.update_rate
-            self._leave_out(self._glitches.find(rates.v[new:, :3], max_rate), Drop.GLITCH)
-            self._leave_out(self._spikes.find(rates.v[new:], dt), Drop.SPIKE)
+            found = self._outliers.find(rates.v[new:], dt, max_rate)
+            for which, drop in zip(found, (Drop.GLITCH, Drop.SPIKE), strict=True):
+                if which is not None:
+                    rates.leave_out(which)
+                    self.intake.drops[RATES][drop] += int(which.sum())
             samples, channels = rates.v[new:], inputs.v
         if len(rates.t):
             self._newest_rates = rates.v[-1, :3]
@@ -428,40 +450,41 @@ class OnlineIdentifier:
             self.plausibility.look(t_ns * NS, samples, fresh)
         self._looked_ns = t_ns
         look = Look(
-            t_ns * NS, samples, channels, self._speed.newest, self._speed.silence(t_ns),
+            t_ns * NS, samples, channels, self._speed.newest, self._speed.silence,
             supervisor.armed, supervisor.adapt, self.plausibility.signal_fault, settings,
         )  # fmt: skip
         supervisor.gates.look(look)
-
-    def _leave_out(self, which: BoolArray | None, drop: Drop) -> None:
-        """Drop some of the newest samples of the rates, and count them."""
-        if which is not None:
-            self.sampler.rates.leave_out(which)
-            self.intake.drops[RATES][drop] += int(which.sum())
 
     def _segment(self, t_ns: int) -> Iterator[Stretch]:
         """Run the model over the blocks that this tick completes; yield completed stretches."""
         gates, speed = self.supervisor.gates, self._speed
         for block in self.sampler.blocks():
             self._fed_ns = t_ns
-            if not self._has_accelerometer and self._parallel.flow is not None:
+            if not self._has_accelerometer and self._flow is not None:
                 self._detect_accelerometer(block)
             length = STRETCH_TIME if block.h <= SAMPLE_TIME else 0.0
             leak = self.settings.model.leak_time
             if self._learned_time < START_TIME:
                 length, leak = 0.0, min(leak, START_LEAK_TIME)
-            now = self._coefficients()
-            states, injected = self._parallel.follow(block, now, speed.newest, leak)
-            learns = speed.known and not gates.closed
-            part = Stretch(block, states, learns, not gates.unreadable, injected)
-            yield from self._stretches.add(part, length)
+            now = self.estimator.coefficients * speed.scale
+            if self._flow is not None:
+                block = self._flow.follow(block, now, speed.newest)
+            states, injected = self._parallel.follow(block, now, leak)
+            flags = speed.known and not gates.closed, not gates.unreadable, injected
+            parts = self._parts
+            if parts and (block.restarted or flags != parts[0][2:5]):
+                yield Stretch.joined(parts)
+            parts.append(Stretch(block, states, *flags))
+            if sum(p.block.time for p in parts) >= length - 0.5 * block.h:
+                yield Stretch.joined(parts)
 
     def _score(self, stretch: Stretch) -> None:
         """Score the coefficients on data that they were not estimated from."""
         self._news = True
         if stretch.readable:
             saved = None if self._saved is None else self._saved * self._speed.scale
-            self.running_fit.add(stretch.block, self._coefficients(), saved)
+            now = self.estimator.coefficients * self._speed.scale
+            self.running_fit.add(stretch.block, now, saved)
         else:
             self.running_fit.restart()
 
@@ -475,7 +498,7 @@ class OnlineIdentifier:
             block,
             stretch.states,
             self._speed.scale[0] if self._speed.enabled else None,
-            self._coefficients(),
+            self.estimator.coefficients * self._speed.scale,
             block.excitation if stretch.injected else None,
         )
 
@@ -486,11 +509,14 @@ class OnlineIdentifier:
         if not self._learned_time:  # the information was discarded
             self._fresh = None
         self._learned_time += samples.time
-        residual = estimator.residual(samples)
+        residual = samples.residual(estimator.linear)
         rows = RowSamples.of(samples, residual, self._layout)
-        white = self._noise.whiten(rows, restarted=samples.restarted)
+        white = RowSamples(
+            self._noise.whiten(rows.signals, rows.dt, restarted=samples.restarted), rows.dt
+        )
         weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
-        effect = self._layout.main_effect(estimator.linear, white)
+        inputs = white.f[MAIN_DERIVATIVES[0], :, self._layout.main]
+        effect = estimator.linear[MAIN_DERIVATIVES][:, None] * inputs
         supervisor.confirmed.add(
             white,
             effect,
@@ -509,8 +535,15 @@ class OnlineIdentifier:
 
     def _try_fresh_start(self, samples: Regression) -> None:
         """Replace an unsuccessful cold start if a fresh estimator determines more derivatives."""
+
+        def identifies(estimator: Estimator, t_ratio: float) -> bool:
+            """Whether a free main control derivative is known."""
+            found = estimator.coefficients, estimator.sigma, estimator.model_error
+            free = estimator.sigma[MAIN_DERIVATIVES] > 0.0
+            return bool((free & known_inputs(*found, t_ratio)).any())
+
         needless = self._warm or self._as_paper or self.supervisor.proven
-        if needless or known_inputs(self.estimator).any():
+        if needless or identifies(self.estimator, SURE):
             self._fresh = None
             return
         fresh = self._fresh or SecondEstimator(self._cold_estimator())
@@ -520,7 +553,7 @@ class OnlineIdentifier:
         fresh.add(samples, np.ones(3))
         if fresh.time < JUDGED_FROM:
             return
-        identified = known_inputs(fresh.estimator, self.settings.supervision.min_t_ratio).any()
+        identified = identifies(fresh.estimator, self.settings.supervision.min_t_ratio)
         # A wrong setting makes derivatives unknown, for the fresh estimator as well.
         if identified and not any(self.setup_doubts):
             # Results from the time before belong to another state of the aircraft.
@@ -544,17 +577,12 @@ class OnlineIdentifier:
         # A real accelerometer changes from sample to sample.
         self._has_accelerometer = bool((force[1:] != force[:-1]).any())
         if before is None and not self._has_accelerometer:
-            self.estimator.start = without_flow(self._start, self.structure)
+            self.estimator.set_start(without_flow(self._start, self.structure))
         elif before is False and self._has_accelerometer:
             # Without flow angles their moments were attributed to other regressors.
-            self._stretches = Stretches()
+            self._parts.clear()
             self.estimator = self._make_estimator(self.settings, self._start)
             self._learned_time = 0.0
-
-    def _coefficients(self) -> FloatArray:
-        """Return the coefficients at the airspeed flown, shape (R, n)."""
-        coefficients, speed = self.estimator.coefficients, self._speed
-        return coefficients * speed.scale if speed.enabled else coefficients
 
     def coefficient_set(self, t_ns: int = 0) -> CoefficientSet:
         """Return the coefficients at the reference airspeed, to save or to start from.
@@ -592,71 +620,43 @@ class OnlineIdentifier:
         if not self.supervisor.gates.closed:
             self._estimate(regression, t_ns, 1)
 
-    def _judge(self, t_ns: int) -> Estimate:
-        """Judge the coefficients, and return the estimate of a tick."""
+    def _judge(self, t_ns: int) -> None:
+        """Judge the coefficients anew if there is any news, and keep what is shown of them."""
+        estimator, speed, supervision = self.estimator, self._speed, self.settings.supervision
         if self.idle > LOOK_TIME and self.supervisor.adapt:
             # Without new data the confirmation of the coefficients fades.
-            max_age = self.settings.supervision.max_age
-            self.supervisor.confirmed.fade(1.0 / self.settings.update_rate, max_age)
+            self.supervisor.confirmed.fade(1.0 / self.settings.update_rate, supervision.max_age)
             self._news = True
         if self._news:
-            self._check_settings()
-            self._sigma = self._setup_errors.widened(self.estimator.sigma)
-        if self._news or self._speed.enabled:
-            self._shown = self._coefficients().copy(), self._sigma * self._speed.scale
-        coefficients, sigma = self._shown
+            delays, lag = self.delays.estimate, self.sampler.time_constant
+            if self._warm and estimator.answers.any():
+                # Inputs that answer gusts appear delayed; the prior takes precedence.
+                delays = NO_ESTIMATE
+            self._setup_errors.look(
+                estimator.coefficients,
+                delays,
+                self.sampler.delay,
+                lag,
+                self.delays.lost,
+                estimator.height,
+                lag_is_configured=lag > 0.0 or not self.settings.actuators.estimate_delay,
+                held=self.sampler.hold_delay,
+            )
+            self._sigma = self._setup_errors.widened(estimator.sigma)
+        if self._news or speed.enabled:
+            self._shown = estimator.coefficients * speed.scale, self._sigma * speed.scale
         if self._news:
-            if self.settings.supervision.plausibility:
-                self.plausibility.judge(coefficients, sigma)
+            if supervision.plausibility:
+                self.plausibility.judge(*self._shown)
             self.supervisor.judge(
                 t_ns * NS,
-                coefficients,
-                sigma,
+                *self._shown,
                 self.running_fit,
-                self.estimator.model_error,
+                estimator.model_error,
                 self.setup_doubts,
                 math.inf if self._warm else self._learned_time,
             )
         self._news = False
-        # Samples may be slower than ticks: one tick without a block does not count as waiting.
-        patience = 0.0 if self._as_paper else self.settings.filter.max_gap / NS
-        fed = t_ns - self._fed_ns <= patience
-        state, why = self._state(fed)
-        sound = state is not State.FAULT and self.speed_believed and not self.plausibility.doubted
-        p, q, r = (sound and not reason for reason in self.supervisor.verdict)
-        predicted, flow = self._frame.to_imu(self._parallel.model.state[:3]), self._parallel.flow
-        newest = np.zeros(3) if self._newest_rates is None else self._newest_rates
-        return Estimate(
-            t_ns=t_ns,
-            coefficients=coefficients,
-            sigma=sigma,
-            predicted_rates=predicted,
-            prediction_error=newest - predicted,
-            flow=None if flow is None else flow.state(coefficients, sigma),
-            fit=self.running_fit.fit,
-            adapting=fed and True in self.supervisor.learning.tolist(),
-            usable=p and q and r,
-            usable_rows=(p, q, r),
-            state=state.value,
-            reason=why,
-        )
-
-    def _check_settings(self) -> None:
-        """Check delay, lag and accelerometer position against the estimates."""
-        estimator, delays = self.estimator, self.delays.estimate
-        if self._warm and estimator.answers.any():
-            # Inputs that answer gusts appear delayed; the prior takes precedence.
-            delays = NO_ESTIMATE
-        self._setup_errors.look(
-            estimator.coefficients,
-            delays,
-            self.delay,
-            self.lag,
-            self.delays.lost,
-            estimator.height,
-            lag_is_configured=self.lag > 0.0 or not self.settings.actuators.estimate_delay,
-            held=self.sampler.hold_delay,
-        )
 
     @property
     def setup_doubts(self) -> list[str]:
@@ -664,16 +664,40 @@ class OnlineIdentifier:
         needed = self.settings.supervision.min_t_ratio
         return self._setup_errors.denied(self.estimator.coefficients, needed)
 
-    def _state(self, fed: bool) -> tuple[State, str]:
-        """Return the state and its reason; faults come first, then missing samples."""
-        fault = self.intake.fault or self.estimator.problem or self.plausibility.fault
-        if fault:
-            return State.FAULT, fault
-        if not fed:
-            return State.WAITING, f"waiting for {self.sampler.waiting_for or 'samples'}"
-        if not self._speed.known:
-            return State.WAITING, "waiting for airspeed"
-        return self.supervisor.state()
+    def _publish(self, t_ns: int) -> Estimate:
+        """Return the estimate of a tick: faults come first, then missing samples."""
+        (coefficients, sigma), supervisor = self._shown, self.supervisor
+        # Samples may be slower than ticks: one tick without a block does not count as waiting.
+        patience = 0.0 if self._as_paper else self.settings.filter.max_gap / NS
+        fed = t_ns - self._fed_ns <= patience
+        if why := self.intake.fault or self.estimator.problem or self.plausibility.fault:
+            state = State.FAULT
+        elif not fed:
+            state, why = State.WAITING, f"waiting for {self.sampler.waiting_for or 'samples'}"
+        elif not self._speed.known:
+            state, why = State.WAITING, "waiting for airspeed"
+        else:
+            state, why = supervisor.state()
+        sound = (
+            state is not State.FAULT and self._speed.believed and self.plausibility.doubt is None
+        )
+        p, q, r = (sound and not reason for reason in supervisor.verdict)
+        predicted = self._frame.to_imu(self._parallel.model.state[:3])
+        newest = np.zeros(3) if self._newest_rates is None else self._newest_rates
+        return Estimate(
+            t_ns=t_ns,
+            coefficients=coefficients,
+            sigma=sigma,
+            predicted_rates=predicted,
+            prediction_error=newest - predicted,
+            flow=None if self._flow is None else self._flow.state(coefficients, sigma),
+            fit=self.running_fit.fit,
+            adapting=fed and True in supervisor.learning.tolist(),
+            usable=p and q and r,
+            usable_rows=(p, q, r),
+            state=state.value,
+            reason=why,
+        )
 
 
 _NO_FORCE = (0.0, 0.0, 0.0)

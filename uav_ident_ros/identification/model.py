@@ -28,8 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from uav_ident_ros.identification.frames import lever_arm_matrix
-from uav_ident_ros.identification.sampling import Block, FlowSignals
-from uav_ident_ros.identification.scales import STEP
+from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.scales import RESPONSE_TIME, STEP
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     EXOGENOUS_COLUMNS,
@@ -271,15 +271,13 @@ class IdentifiedModel:
         assert block.excitation is not None
         coefficients = coefficients.copy()
         coefficients[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1] = 0.0
-        still, flow = np.zeros_like, block.flow
-        if flow is not None:
-            flow = FlowSignals(still(flow.states), flow.airspeed)
+        still = np.zeros_like
         alone = replace(
             block,
             x=still(block.x),
             u=block.excitation,
             specific_force=still(block.specific_force),
-            flow=flow,
+            flow=None if block.flow is None else still(block.flow),
         )
         return self.run(coefficients, alone, leak_time)
 
@@ -290,7 +288,17 @@ class IdentifiedModel:
         a = off_centre(coefficients, self._lever) if self._offset else coefficients
         leak = 1.0 / leak_time if leak_time > 0.0 else 0.0
         plan = plan_steps(len(block.u), block.h)
-        drive = self._drive(a, block, plan)
+        # The part that does not depend on the state, a row for each step
+        u = plan.cell_means @ block.u
+        if block.flow is not None:
+            drive = np.zeros((len(u), 11))
+            drive[:, :7] = u @ a[:, INPUT_COLUMNS].T + a[:, CONSTANT_COLUMN]
+            drive[:, 7] = 1.0 / block.airspeed
+        else:
+            exogenous = a[:, EXOGENOUS_COLUMNS]
+            drive = u @ exogenous[:, :4].T
+            if exogenous.shape[1] > 4:
+                drive += exogenous[:, 4] + plan.means @ block.force @ exogenous[:, 5:].T
         if leak:
             pull = leak * (plan.means @ block.state)
             drive[:, :3] += pull[:, :3]
@@ -330,20 +338,6 @@ class IdentifiedModel:
             state = np.array(x)
         self.state = state
 
-    def _drive(self, a: FloatArray, block: Block, plan: Steps) -> FloatArray:
-        """Return the part of the model that does not depend on the state, a row for each step."""
-        u = plan.cell_means @ block.u
-        if block.flow is not None:
-            drive = np.zeros((len(u), 11))
-            drive[:, :7] = u @ a[:, INPUT_COLUMNS].T + a[:, CONSTANT_COLUMN]
-            drive[:, 7] = 1.0 / block.flow.airspeed
-            return drive
-        exogenous = a[:, EXOGENOUS_COLUMNS]
-        rates_drive: FloatArray = u @ exogenous[:, :4].T
-        if exogenous.shape[1] > 4:
-            rates_drive += exogenous[:, 4] + plan.means @ block.force @ exogenous[:, 5:].T
-        return rates_drive
-
 
 class Steps(NamedTuple):
     """The s integration steps over the m cells of a block."""
@@ -373,3 +367,37 @@ def plan_steps(m: int, h: float) -> Steps:
     lines = np.zeros((m + 1, len(begin) + 1))
     lines[edges, left], lines[edges, left + 1] = 1.0 - share, share
     return Steps((cells * h).tolist(), max(1, round(h / STEP)), cell_means, means, lines)
+
+
+class ParallelModel:
+    """The identified model beside the aircraft, and the instruments that follow from it.
+
+    Its states contain neither gyro noise nor gusts. During injection its response to the injected
+    signals only is free of feedback, too.
+    """
+
+    def __init__(self, structure: Structure, lever_arm: FloatArray) -> None:
+        self.model = IdentifiedModel(structure, lever_arm)
+        self._response = IdentifiedModel(structure, lever_arm)
+        self._since_injected = RESPONSE_TIME
+
+    def follow(
+        self,
+        block: Block,  # Measured signals over m cells; its flow is set
+        coefficients: FloatArray,  # (R, n) A_m at the airspeed flown
+        leak_time: float,  # Of the leak towards the measured state, s; 0 for none
+    ) -> tuple[FloatArray, bool]:
+        """Run the model over a block.
+
+        Returned are the state at the edges, (m + 1, 3 or 8), from which instruments follow, and
+        whether it is the response to the injected signals only.
+        """
+        states = self.model.run(coefficients, block, leak_time)
+        self._since_injected += block.time
+        if block.excitation is None:
+            return states, False
+        if block.excitation.any():
+            self._since_injected = 0.0
+        if self._since_injected >= RESPONSE_TIME:
+            return states, False
+        return self._response.respond(coefficients, block, leak_time), True

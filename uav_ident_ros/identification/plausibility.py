@@ -151,31 +151,24 @@ class Plausibility:
         self._now = -math.inf
         self._looked = -math.inf
         self._found.clear()
-        self._doubt: Doubt | None = None
+        # Text of the first fault of the signals, which prevents learning; empty if none
+        self.signal_fault = ""
+        # Whether the coefficients suggest swapped or reversed channels, confirmed or not
+        self.doubt: Doubt | None = None
 
     @property
     def findings(self) -> list[Finding]:
         """Present findings, faults first."""
         found = [f for _, f in self._found.values()]
-        if self._doubt is not None and self._doubt.confirmed:
-            found.append(self._doubt.finding)
+        if self.doubt is not None and self.doubt.confirmed:
+            found.append(self.doubt.finding)
         return sorted(found, key=lambda f: not f.fault)
 
     @property
     def fault(self) -> str:
         """Text of the first fault; empty if there is none."""
-        doubt = self._doubt.finding.text if self._doubt and self._doubt.confirmed else ""
+        doubt = self.doubt.finding.text if self.doubt and self.doubt.confirmed else ""
         return self.signal_fault or doubt
-
-    @property
-    def signal_fault(self) -> str:
-        """Text of the first fault of the signals, which prevents learning; empty if none."""
-        return next((f.text for _, f in self._found.values() if f.fault), "")
-
-    @property
-    def doubted(self) -> bool:
-        """Whether the coefficients suggest swapped or reversed channels, confirmed or not."""
-        return self._doubt is not None
 
     def note(self, t: float, finding: Finding) -> None:
         """Add a finding of another module at `t` s."""
@@ -186,16 +179,16 @@ class Plausibility:
         """Check the coefficients for channels that are swapped or reversed."""
         known = (self._structure, coefficients, sigma, self._expected)
         find = partial(coefficient_finding, *known, multirotor=self._multirotor)
-        found, before = find(), self._doubt
+        found, before = find(), self.doubt
         if found is None:
             likely = before and find(sure=0.0)
             if likely is None or before is None or likely.name != before.finding.name:
-                self._doubt = None
+                self.doubt = None
         elif before is None or found.name != before.finding.name:
-            self._doubt = Doubt(self._now, found)
+            self.doubt = Doubt(self._now, found)
         else:
             confirmed = before.confirmed or self._now - before.since >= ENOUGH
-            self._doubt = Doubt(before.since, found, confirmed)
+            self.doubt = Doubt(before.since, found, confirmed)
 
     def look(
         self,
@@ -218,6 +211,7 @@ class Plausibility:
         self._found = {n: f for n, f in self._found.items() if t - f[0] < MEMORY}
         found = [*self._check_motion(t, span), *self._check_inputs()]
         self._found.update({f.name: (t, f) for f in found if t - self._began >= ENOUGH})
+        self.signal_fault = next((f.text for _, f in self._found.values() if f.fault), "")
         self.noted.update({f.name: f for f in self.findings})
 
     # -- gravity ---------------------------------------------------------------------------
@@ -229,19 +223,17 @@ class Plausibility:
             return []  # a constant value is not from an accelerometer
         recent = force[times > t - span]
         if len(recent):
-            self._follow(self._frame.to_body(recent), span)
+            # The mean over the flight: settings are wrong from the start.
+            own = self._frame.to_body(recent)
+            size = np.linalg.norm(own, axis=1, keepdims=True)
+            direction = own / np.maximum(size, 0.5 * GRAVITY)
+            self._sums += span * np.concatenate([direction, own, size], axis=1).mean(axis=0)
+            self._time += span
+            if self._time > LONG_MEMORY:
+                self._sums *= LONG_MEMORY / self._time
+                self._time = LONG_MEMORY
         found = self._size() or self._mounting() or self._gyro_units(times, rates, force)
         return [found] if found else []
-
-    def _follow(self, force: FloatArray, span: float) -> None:
-        """Update the mean specific force, over the flight: settings are wrong from the start."""
-        size = np.linalg.norm(force, axis=1, keepdims=True)
-        direction = force / np.maximum(size, 0.5 * GRAVITY)
-        self._sums += span * np.concatenate([direction, force, size], axis=1).mean(axis=0)
-        self._time += span
-        if self._time > LONG_MEMORY:
-            self._sums *= LONG_MEMORY / self._time
-            self._time = LONG_MEMORY
 
     def _size(self) -> Finding | None:
         """Return a finding if the specific force is in another unit or without gravity."""
@@ -426,7 +418,18 @@ def coefficient_finding(
     *,
     multirotor: bool = False,  # Whether the text names motors in place of surfaces
 ) -> Finding | None:
-    """Return a finding if control derivatives show swapped or reversed channels."""
+    """Return a finding if control derivatives show swapped or reversed channels.
+
+    Channels are swapped if dr has the larger roll moment, and not clearly the larger yaw moment, of
+    dr and da. With swapped channels the rudder's side force has no column, since da has none in the
+    row of ay. The yaw moments of the two are therefore separated late, if at all.
+    """
+
+    def exceeds(larger: str, smaller: str, sure: float) -> bool:
+        i, j = structure.index(larger), structure.index(smaller)
+        by = abs(coefficients.item(i)) - abs(coefficients.item(j))
+        return by > sure * math.hypot(sigma.item(i), sigma.item(j))
+
     names = ("yaw and roll inputs", "motor") if multirotor else ("rudder and aileron", "surface")
     both, actuator = names
     for entry in expected:
@@ -438,30 +441,13 @@ def coefficient_finding(
                 f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}: a {actuator} "
                 "is connected the wrong way round; turn it, or its sign in actuators.mixing",
             )
-    if not _swapped(structure, coefficients, sigma, sure):
+    if not exceeds("pdot/dr", "pdot/da", sure) or exceeds("rdot/dr", "rdot/da", SURE):
         return None
     return Finding(
         "swapped",
         f"{both} are swapped: dr rolls the aircraft more than da does; exchange them in "
         "actuators.channels or actuators.mixing",
     )
-
-
-def _swapped(
-    structure: Structure, coefficients: FloatArray, sigma: FloatArray, sure: float
-) -> bool:
-    """Whether dr has the larger roll moment, and not clearly the larger yaw moment, of dr and da.
-
-    With swapped channels the rudder's side force has no column, since da has none in the row of ay.
-    The yaw moments of the two are therefore separated late, if at all.
-    """
-
-    def exceeds(larger: str, smaller: str, sure: float) -> bool:
-        i, j = structure.index(larger), structure.index(smaller)
-        by = abs(coefficients.item(i)) - abs(coefficients.item(j))
-        return by > sure * math.hypot(sigma.item(i), sigma.item(j))
-
-    return exceeds("pdot/dr", "pdot/da", sure) and not exceeds("rdot/dr", "rdot/da", SURE)
 
 
 # --- bias of the derivatives by wrong settings ----------------------------------------------------

@@ -34,7 +34,6 @@ from uav_ident_ros.identification.structure import (
     INPUTS,
     LAST_COLUMNS,
     MAIN_COLUMNS,
-    MAIN_DERIVATIVES,
     RATE_COLUMNS,
     ROWS,
     STATE_COLUMNS,
@@ -92,11 +91,6 @@ class Layout:
         """Entry of p in the row of ay; none without that row."""
         places = self.place[len(ROWS) : len(ROWS) + 1]
         return [row[:, 1].tolist().index(RATE_COLUMNS.start) for row in places]
-
-    def main_effect(self, linear: FloatArray, samples: RowSamples) -> FloatArray:
-        """Return effects (3, m) of the main inputs in samples, by coefficients (rows, c)."""
-        inputs = samples.f[MAIN_DERIVATIVES[0], :, self.main]
-        return np.asarray(linear[MAIN_DERIVATIVES][:, None] * inputs)
 
     @cached_property
     def signals(self) -> tuple[NDArray[np.intp], FloatArray]:
@@ -379,7 +373,7 @@ class StateVariableFilter:
         z[:, STATE_COLUMNS] = both[points:, STATE_COLUMNS]
         if block.flow is not None:
             assert coefficients is not None
-            made, v, angles = coefficients[3:5], block.flow.airspeed, INPUT_COLUMNS.stop
+            made, v, angles = coefficients[3:5], block.airspeed, INPUT_COLUMNS.stop
             force = np.concatenate((block.force, model_states[:, :5] @ made.take(_FLOW_STATE, 1).T))
             turning = (force + GRAVITY * states[:, 6:]) / v
             turning += (states[:, :1] * states[:, 4:2:-1] - states[:, 2:0:-1]) * _TURNING
@@ -420,7 +414,7 @@ class StateVariableFilter:
         f[:, LAST_COLUMNS] -= offset
         if block.flow is not None:
             n = self._structure.size
-            f[:, n : n + 2] -= offset / block.flow.airspeed
+            f[:, n : n + 2] -= offset / block.airspeed
             # Second derivative of the filtered rates, by the filter's own equation
             w = self._cutoff
             jerk = w * w * (block.x[1:] - low[:, :3]) - np.sqrt(2.0) * w * y[:, :3]

@@ -60,19 +60,12 @@ class Autoregression:
         self._past: FloatArray | None = None
         self._known = 0
 
-    def whiten(self, samples: RowSamples, *, restarted: bool) -> RowSamples:
-        """Update the model of the residuals with samples, and return them whitened.
-
-        Their residuals are then innovations.
-        """
-        white = self.innovations(samples.signals, samples.dt, restarted=restarted)
-        return RowSamples(white, samples.dt)
-
-    def innovations(self, new: FloatArray, dt: float, *, restarted: bool) -> FloatArray:
+    def whiten(self, new: FloatArray, dt: float, *, restarted: bool) -> FloatArray:
         """Update the model with signals (rows, m, k), and return what their past does not predict.
 
-        The first of the k is the one that the model is of. After a restart, where the first sample
-        does not continue the last, zeros take the place of the first `ORDER`.
+        The first of the k is the one that the model is of; whitened, it is the innovation. After a
+        restart, where the first sample does not continue the last, zeros take the place of the
+        first `ORDER`.
         """
         if restarted or self._past is None:
             self._past, self._known = np.zeros((len(new), ORDER, new.shape[2])), 0
@@ -87,7 +80,15 @@ class Autoregression:
         self._since_fit += m * dt
         if self._since_fit >= LOOK_TIME:
             self._since_fit = 0.0
-            self._fit()
+            # The Yule-Walker equations
+            c = self._covariances
+            matrix = c.take(self._lags, axis=1)
+            level = np.maximum(c[:, 0], TINY)
+            diagonal(matrix)[...] += (LOADING * level)[:, None]
+            self.weights = np.linalg.solve(matrix, c[:, 1:, None])[:, :, 0]
+            self._matrices.clear()
+            left = c[:, 0] - (self.weights * c[:, 1:]).sum(axis=1)
+            self.variance = np.maximum(left, LOADING * c[:, 0])
         if m not in self._matrices:
             matrix = self._matrices[m] = np.zeros((len(self.weights), m, ORDER + m))
             for k in range(m):
@@ -98,17 +99,6 @@ class Autoregression:
             white[:, : ORDER - self._known] = 0.0
             self._known += m
         return np.asarray(white)
-
-    def _fit(self) -> None:
-        """Solve the Yule-Walker equations."""
-        c = self._covariances
-        matrix = c.take(self._lags, axis=1)
-        level = np.maximum(c[:, 0], TINY)
-        diagonal(matrix)[...] += (LOADING * level)[:, None]
-        self.weights = np.linalg.solve(matrix, c[:, 1:, None])[:, :, 0]
-        self._matrices.clear()
-        left = c[:, 0] - (self.weights * c[:, 1:]).sum(axis=1)
-        self.variance = np.maximum(left, LOADING * c[:, 0])
 
 
 @lru_cache(maxsize=64)
@@ -125,7 +115,8 @@ ANSWER_TIMES = np.geomspace(2.0 * SAMPLE_TIME, RESPONSE_TIME, 3)
 to an attitude loop."""
 
 
-_MAIN_PLACES = [INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
+MAIN_PLACES = [INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
+"""Main input of each moment row among the inputs."""
 
 
 class Feedback:
@@ -184,38 +175,35 @@ class Feedback:
         """Add samples; they are evaluated every `INDEPENDENT_TIME`."""
         self._gathered.append((samples, residual, samples.dt * max(weight.tolist())))
         self._since_look += samples.time
-        if self._since_look >= INDEPENDENT_TIME:
-            self._since_look = 0.0
-            self._count()
-            if self._products[self._answers - 1, self._answers - 1]:
-                self._look(samples.dt, effect)
-
-    def _count(self) -> None:
-        """Add the products of the collected samples."""
+        if self._since_look < INDEPENDENT_TIME:
+            return
+        self._since_look = 0.0
         gathered, self._gathered = self._gathered, []
-        signals = np.ones((sum(len(residual) for _, residual, _ in gathered), len(self._products)))
-        weight, first = np.empty((len(signals), 1)), 0
-        for samples, residual, counted in gathered:
-            if samples.restarted:
+        signals = np.ones((sum(len(own) for _, own, _ in gathered), len(self._products)))
+        shares, first = np.empty((len(signals), 1)), 0
+        for part, own, counted in gathered:
+            if part.restarted:
                 self._past = np.zeros_like(self._past)
-                self._before = np.tile(samples.f[0, INPUT_COLUMNS], (ORDER, 1))
-            keep = np.exp(-samples.dt / ANSWER_TIMES)[:, None]
-            m = len(residual)
+                self._before = np.tile(part.f[0, INPUT_COLUMNS], (ORDER, 1))
+            keep = np.exp(-part.dt / ANSWER_TIMES)[:, None]
+            m = len(own)
             last = first + m
-            inputs = np.concatenate((self._before, samples.f[:, INPUT_COLUMNS]))
+            inputs = np.concatenate((self._before, part.f[:, INPUT_COLUMNS]))
             self._before = inputs[-ORDER:]
             # The inputs, the residuals, and the inputs before
             now, *lagged = inputs[_lags(m)]
-            signals[first:last, self._inputs.start :] = np.hstack((now, residual, *lagged))
+            signals[first:last, self._inputs.start :] = np.hstack((now, own, *lagged))
             for k in range(first, last):
                 signals[k, : self._past.size] = self._past.ravel()
-                self._past = keep * self._past + residual[k - first]
+                self._past = keep * self._past + own[k - first]
             fade = np.exp(-counted * m / LONG_MEMORY)
             self._products *= fade
-            weight[:first] *= fade
-            weight[first:last] = counted
+            shares[:first] *= fade
+            shares[first:last] = counted
             first = last
-        self._products += (weight * signals).T @ signals
+        self._products += (shares * signals).T @ signals
+        if self._products[self._answers - 1, self._answers - 1]:
+            self._look(samples.dt, effect)
 
     def _look(self, interval: float, effect: FloatArray) -> None:
         """Update the inputs' shares of feedback, from samples `interval` s apart."""
@@ -235,23 +223,15 @@ class Feedback:
         chance = (n - 1) * GUST_TIME / time
         surely = 1.0 + SURE * np.sqrt(2.0 / (n - 1))
         sure = share > chance * surely
-        tested = np.flatnonzero(sure & self._exceeds(covariance, share - chance, effect))
+        # Does the share move more than the gusts of its plane? No rate loop moves the throttle.
+        gusts = np.diag(covariance)[self._gusts].copy()
+        gusts[[0, 2]] = gusts[0] + gusts[2]  # roll and yaw
+        stronger = np.ones(len(INPUTS), dtype=bool)
+        stronger[MAIN_PLACES] = effect**2 * ((share - chance) * variance)[MAIN_PLACES] > gusts
+        tested = np.flatnonzero(sure & stronger)
         predicted = [self._predicted_share(covariance, i) for i in tested.tolist()]
         sure[tested] = np.array(predicted) > (n - 1) * interval / time * surely
         self._set_share(np.maximum(share - chance, 0.0), sure)
-
-    def _exceeds(self, covariance: FloatArray, share: FloatArray, effect: FloatArray) -> BoolArray:
-        """Return whether shares of the inputs, (4,), move more than the gusts of their plane.
-
-        True for the throttle, which no rate loop moves, and which has no row of its own.
-        """
-        variance = np.diag(covariance)
-        gusts, inputs = variance[self._gusts].copy(), variance[self._inputs]
-        gusts[[0, 2]] = gusts[0] + gusts[2]  # roll and yaw
-        stronger = np.ones(len(INPUTS), dtype=bool)
-        moves = effect**2 * (share * inputs)[_MAIN_PLACES]
-        stronger[_MAIN_PLACES] = moves > gusts
-        return stronger
 
     def _predicted_share(self, covariance: FloatArray, i: int) -> float:
         """Return the share of an input's innovation that past residuals predict.
@@ -354,7 +334,7 @@ class Confirmation:
         restarted: bool,  # Whether the first sample does not continue the last
     ) -> None:
         """Add whitened samples to the evidence."""
-        new = self._effects.innovations(effect[..., None], white.dt, restarted=restarted)
+        new = self._effects.whiten(effect[..., None], white.dt, restarted=restarted)
         effect = effect - new[..., 0] * may_answer[:, None]
         estimated = white.residual[: len(ROWS)]
         explained = white.y[: len(ROWS)] - estimated  # by the whole row

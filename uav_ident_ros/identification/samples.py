@@ -142,22 +142,21 @@ class Drop(StrEnum):
     CLOCK_MISMATCH = "stamp far from the Imu's"
 
 
-def time_problem(t_ns: int) -> Drop | None:
-    """Return the problem of a stamp, ns; None if it is valid."""
+def sample_problem(t_ns: int, *parts: tuple[Sequence[float], int, float]) -> Drop | None:
+    """Return the problem of a sample; None if it is valid.
+
+    Each of the parts is some values, their number, and the largest magnitude that they may have.
+    """
+    for values, count, largest in parts:
+        if len(values) != count:
+            return Drop.WRONG_LENGTH
+        if not math.isfinite(sum(values)):
+            return Drop.NOT_FINITE
+        if max(map(abs, values)) > largest:
+            return Drop.IMPLAUSIBLE
     if t_ns <= 0:
         return Drop.ZERO_STAMP
     return Drop.BEYOND_STAMP if t_ns > LATEST_STAMP else None
-
-
-def value_problem(values: Sequence[float], count: int, largest: float) -> Drop | None:
-    """Return the problem of a sample of `count` values up to `largest`; None if it is valid."""
-    if len(values) != count:
-        return Drop.WRONG_LENGTH
-    if not math.isfinite(sum(values)):
-        return Drop.NOT_FINITE
-    if max(map(abs, values)) > largest:
-        return Drop.IMPLAUSIBLE
-    return None
 
 
 class Stream(NamedTuple):
@@ -316,13 +315,11 @@ class Intake:
         if self._held is not None:
             self._held.append(partial(self.add_rates, t_ns, pqr, force))
             return None
-        problem = (
-            value_problem(pqr, 3, LARGEST_GYRO_RATE)
-            or value_problem(force, 3, LARGEST_MOTION)
-            or time_problem(t_ns)
-        )
+        parts = (pqr, 3, LARGEST_GYRO_RATE), (force, 3, LARGEST_MOTION)
+        problem = sample_problem(t_ns, *parts)
         if problem is None:
-            take = self._take_outlying if self._jumped(t_ns) else self._take_rates
+            far = self.newest_ns is not None and abs(t_ns - self.newest_ns) > self._jump_ns
+            take = self._take_outlying if far else self._take_rates
             problem = take(t_ns, pqr, force)
         if problem is not None:
             self.drops[RATES][problem] += 1
@@ -347,10 +344,6 @@ class Intake:
             self._due.append(tick_ns)
             self._next_tick += 1
         return None
-
-    def _jumped(self, t_ns: int) -> bool:
-        """Whether a stamp is far from those of the rates."""
-        return self.newest_ns is not None and abs(t_ns - self.newest_ns) > self._jump_ns
 
     def _take_outlying(
         self, t_ns: int, pqr: Sequence[float], force: Sequence[float]
@@ -389,11 +382,11 @@ class Intake:
         if name == ACTUATORS:
             t_ns = self.clock_steps.corrected(t_ns, self.newest_ns)
         stream, buffer = self._streams[name], self._buffers[name]
-        problem = value_problem(values, stream.width, stream.largest) or time_problem(t_ns)
-        if problem is None and self._jumped(t_ns):
-            problem = Drop.CLOCK_MISMATCH
-        elif problem is None and t_ns <= self.last_tick_ns:
-            problem = Drop.LATE
+        problem = sample_problem(t_ns, (values, stream.width, stream.largest))
+        if problem is None:
+            far = self.newest_ns is not None and abs(t_ns - self.newest_ns) > self._jump_ns
+            late = t_ns <= self.last_tick_ns
+            problem = Drop.CLOCK_MISMATCH if far else Drop.LATE if late else None
         if name == ACTUATORS:
             self._follow_clock(t_ns, problem)
         if problem is Drop.LATE and stream.kept_if_late:

@@ -7,6 +7,7 @@ linearly. The inputs are delayed, lagged and averaged over the cells.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -135,26 +136,6 @@ STEADY_RATE = 0.1
 
 
 @dataclass
-class FlowSignals:
-    """Measured state of the model with flow angles, at the edges of a block."""
-
-    # (m + 1, 8) p, q, r, rad/s; sideslip and angle of attack, rad; unit vector that points down,
-    # body axes FRD
-    states: FloatArray
-    airspeed: float  # True, m/s
-
-    @property
-    def angles(self) -> FloatArray:
-        """Sideslip and angle of attack, rad, shape (m + 1, 2)."""
-        return self.states[:, 3:5]
-
-    @property
-    def down(self) -> FloatArray:
-        """Unit vector that points down, body axes FRD, shape (m + 1, 3)."""
-        return self.states[:, 5:]
-
-
-@dataclass
 class Block:
     """Signals over m consecutive cells of the grid, body axes FRD."""
 
@@ -170,32 +151,31 @@ class Block:
     # (m, 4) Means of lines through the inputs at the edges, less `u`: such a line begins a jump a
     # cell sooner. None for inputs that do not jump
     early: FloatArray | None = None
-    flow: FlowSignals | None = None  # For a structure with flow angles, once they are observed
+    # (m + 1, 8) With flow angles, once they are observed: the measured state at the edges, p, q, r,
+    # rad/s, sideslip and angle of attack, rad, and the unit vector that points down
+    flow: FloatArray | None = None
+    airspeed: float = math.nan  # True, m/s, with flow angles
 
-    @property
-    def force(self) -> FloatArray:
-        """Specific forces ay, az at the edges, m/s^2, shape (m + 1, 2)."""
-        return self.specific_force[:, 1:]
-
-    @property
-    def state(self) -> FloatArray:
-        """Measured state of the model at the edges, shape (m + 1, 3), or (m + 1, 8) with flow."""
-        return self.x if self.flow is None else self.flow.states
-
-    @property
-    def time(self) -> float:
-        """Length of the block, s."""
-        return self.h * len(self.u)
+    def __post_init__(self) -> None:
+        self.force = self.specific_force[:, 1:]  # (m + 1, 2) ay, az at the edges, m/s^2
+        # Measured state of the model at the edges, (m + 1, 3), or (m + 1, 8) with flow
+        self.state = self.x if self.flow is None else self.flow
+        self.time = self.h * len(self.u)  # Length of the block, s
 
 
 def join(blocks: Sequence[Block]) -> Block:
     """Join blocks that continue one another."""
     if len(blocks) == 1:
         return blocks[0]
-    first, flow = blocks[0], None
-    state = edge_values([block.state for block in blocks])
-    if first.flow is not None:
-        flow = FlowSignals(state, first.flow.airspeed)
+
+    def of_cells(parts: list[FloatArray | None]) -> FloatArray | None:
+        """Join values of cells; None counts as zeros if there are others."""
+        if all([values is None for values in parts]):
+            return None
+        both = zip(parts, blocks, strict=True)
+        return np.concatenate([np.zeros_like(b.u) if v is None else v for v, b in both])
+
+    first, state = blocks[0], edge_values([block.state for block in blocks])
     return Block(
         edge_values([block.t_ns for block in blocks]),
         first.h,
@@ -203,17 +183,11 @@ def join(blocks: Sequence[Block]) -> Block:
         np.concatenate([block.u for block in blocks]),
         edge_values([block.specific_force for block in blocks]),
         first.restarted,
-        _cell_values([(block.excitation, block.u) for block in blocks]),
-        _cell_values([(block.early, block.u) for block in blocks]),
-        flow,
+        of_cells([block.excitation for block in blocks]),
+        of_cells([block.early for block in blocks]),
+        None if first.flow is None else state,
+        first.airspeed,
     )
-
-
-def _cell_values(parts: Sequence[tuple[FloatArray | None, FloatArray]]) -> FloatArray | None:
-    """Join cell values of blocks, each with an array of its shape; None counts as zeros."""
-    if all([values is None for values, _ in parts]):
-        return None
-    return np.concatenate([np.zeros_like(u) if values is None else values for values, u in parts])
 
 
 def edge_values(parts: Sequence[Edges]) -> Edges:
@@ -259,7 +233,7 @@ class Sampler:
 
         None if they are missing or stale.
         """
-        at = t_ns - self._delay_ns
+        at = t_ns - round(self.delay * 1e9)
         self.rates.trim(t_ns)
         self.raw_inputs.trim(t_ns - self._memory_ns)
         last = self.raw_inputs.after(at) - 1
@@ -277,8 +251,18 @@ class Sampler:
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks that are complete with the samples in use."""
-        self.waiting_for = self._missing()
-        if self.waiting_for:
+        self.waiting_for = ""  # Which of rates, inputs and trim is missing
+        if self.h_ns is None and len(self.rates.t) <= RATE_SAMPLES:
+            self.waiting_for = "rates"
+            return
+        if self.h_ns is None:
+            self.h_ns = max(int(np.median(np.diff(self.rates.t))), FASTEST_CELL_NS)
+        if not len(self.raw_inputs.t):
+            self.rates.trim(int(self.rates.t[-1]))
+            self.waiting_for = "actuators"
+            return
+        if not self._trim_known and not self._learn_trim():
+            self.waiting_for = "steady flight to learn the trim from"
             return
         t, breaks = self.rates.t, []
         if t[-1] - t[0] > self._max_gap_ns:
@@ -299,24 +283,6 @@ class Sampler:
             return 0.0
         steps: list[int] = np.diff(self.raw_inputs.t).tolist()
         return 0.5 * NS * median(steps)  # faster than NumPy's
-
-    @property
-    def _delay_ns(self) -> int:
-        return round(self.delay * 1e9)
-
-    def _missing(self) -> str:
-        """Return which of rates, inputs and trim is missing; empty if none is."""
-        if self.h_ns is None:
-            if len(self.rates.t) <= RATE_SAMPLES:
-                return "rates"
-            interval = int(np.median(np.diff(self.rates.t)))
-            self.h_ns = max(interval, FASTEST_CELL_NS)
-        if not len(self.raw_inputs.t):
-            self.rates.trim(int(self.rates.t[-1]))
-            return "actuators"
-        if not self._trim_known and not self._learn_trim():
-            return "steady flight to learn the trim from"
-        return ""
 
     def _stale_age(self) -> int:
         """Return the age, ns, at which an input counts as lost.
@@ -360,15 +326,16 @@ class Sampler:
         start = self._edge_ns
         if start is None or start < first_ns:
             start, self._continues = first_ns, False
+        delay_ns = round(self.delay * 1e9)
         if self._linear:
             # Interpolation needs the next sample: cells wait for it, up to the stale age.
-            newest = int(self.raw_inputs.t[-1]) + self._delay_ns
+            newest = int(self.raw_inputs.t[-1]) + delay_ns
             if last_ns - newest <= self._stale_age():
                 last_ns = min(last_ns, newest)
         edges = np.arange(start, last_ns + 1, self.h_ns, dtype=np.int64)
         if len(edges) < 2:
             return
-        at = edges - self._delay_ns
+        at = edges - delay_ns
         runs = self._known_runs(at)
         for begin, end in runs:
             if end - begin > 1:

@@ -29,6 +29,9 @@ LARGEST_RATIO = 3.0
 """Largest ratio of airspeed and reference, or its inverse, at which the scaling holds: at lower
 speed the flow separates, at higher speed the measurement is wrong."""
 
+SILENCE = f"no airspeed has arrived in the last {RESPONSE_TIME:g} s"
+"""Reason not to learn, and not to use the coefficients."""
+
 
 def slowest(settings: AirspeedSettings) -> float:
     """Return the lowest airspeed at which the scaling holds, m/s."""
@@ -54,7 +57,7 @@ class SpeedScaling:
     def __init__(self, settings: AirspeedSettings, structure: Structure) -> None:
         self.enabled = settings.type != ""
         self.airspeed = SampleBuffer(1)  # True airspeed, m/s
-        self._reference = settings.reference
+        self._reference, self._slowest = settings.reference, slowest(settings)
         self._power: FloatArray = np.zeros(structure.mask.shape)
         self._power[:, RATE_COLUMNS] = 1.0
         self._power[:, INPUT_COLUMNS] = 2.0
@@ -66,20 +69,27 @@ class SpeedScaling:
         self.known = not self.enabled  # Whether the scale holds at the airspeed flown
         self.scale: FloatArray = np.ones_like(self._power)  # (R, n) Factor of each coefficient
         self.newest: float | None = None  # m/s
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new time base: no airspeed has arrived since."""
+        self.airspeed.clear()
+        # Problem if an airspeed was measured, but none lately; empty if there is none
+        self.silence = "" if self.newest is None else SILENCE
+        # Whether the scale is valid: no airspeed is measured, or it is high enough and up to date
+        self.believed = self.newest is None
 
     def update(self, t_ns: int) -> None:
-        """Update the scale with the newest airspeed in use at `t_ns`."""
-        if self.enabled and len(self.airspeed.t):
+        """Update the scale with the newest airspeed in use at the tick `t_ns`."""
+        stamps = self.airspeed.t
+        if self.enabled and len(stamps):
             self.newest = float(self.airspeed.v[-1, 0])
             ratio = self.newest / self._reference
             ratio = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
             self.scale = ratio**self._power
             self.known = True
             self.airspeed.trim(t_ns)
-
-    def silence(self, t_ns: int) -> str:
-        """Return the problem if an airspeed was measured, but none before `t_ns`; else empty."""
-        stamps = self.airspeed.t
-        if self.newest is None or (len(stamps) and (t_ns - stamps[-1]) * NS <= RESPONSE_TIME):
-            return ""
-        return f"no airspeed has arrived in the last {RESPONSE_TIME:g} s"
+        silent = not len(stamps) or (t_ns - stamps[-1]) * NS > RESPONSE_TIME
+        if self.newest is not None:
+            self.silence = SILENCE if silent else ""
+            self.believed = not silent and self.newest >= self._slowest

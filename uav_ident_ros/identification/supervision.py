@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision: the weights of the rows, and the verdict on the coefficients."""
+"""Supervision: running fit, weights of the rows, and the verdict on the coefficients."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -17,11 +19,12 @@ from uav_ident_ros.identification.gates import (
     TOO_QUIET,
     Gate,
     Gates,
-    ResidualGate,
 )
-from uav_ident_ros.identification.parallel_model import RunningFit
+from uav_ident_ros.identification.model import IdentifiedModel, bounded
+from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.residuals import Confirmation
-from uav_ident_ros.identification.scales import MEMORY
+from uav_ident_ros.identification.sampling import Block, join
+from uav_ident_ros.identification.scales import LONG_MEMORY, MEMORY, OUTLYING, SHORT_MEMORY
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
     MAIN_DERIVATIVES,
@@ -59,6 +62,105 @@ class Change(NamedTuple):
     sigma: float  # Its standard deviation before
 
 
+# --- running fit ----------------------------------------------------------------------------------
+
+
+FAILED_PREDICTION = 4.0
+"""Squared error of a failed prediction, relative to the signal's variation: that of the negative of
+the measurement, a fit of -100 percent. A larger error counts as this one."""
+
+# The sums over samples: count, x, x^2, then squared errors.
+_SPREAD, _ERRORS, _MODEL, _HOLD, _SAVED = slice(0, 3), slice(3, 6), 3, 4, 5
+
+
+class RunningFit:
+    """Free 1-second prediction fit of the coefficients in use, of those saved, and of holding.
+
+    Predictions follow one another. Each starts from the measured state, with the coefficients of
+    that time, and runs on the measured inputs only. It is compared with every sample of its second.
+    """
+
+    def __init__(self, structure: Structure, model: IdentifiedModel) -> None:
+        self._holds_force = structure.has_forces
+        self._model = model
+        # Fit of p, q, r in percent, of the coefficients in use, of the rates held, and of the saved
+        # coefficients; 0 before the first prediction
+        self.fit: FloatArray = np.zeros(3)
+        self.hold: FloatArray = np.zeros(3)
+        self.saved: FloatArray = np.zeros(3)
+        self.predictions = 0  # Counted so far
+        self._sums: FloatArray = np.zeros((6, 3))
+        self.forget()
+
+    def restart(self) -> None:
+        """Drop the prediction under way."""
+        self._parts: list[Block] = []
+        self._time = 0.0
+
+    def forget(self) -> None:
+        """Clear the sums after a change of the aircraft; `fit` stays until the next prediction."""
+        self.restart()
+        self._age = 0.0
+        self._sums.fill(0.0)
+
+    def save(self) -> None:
+        """Note that the coefficients in use are saved: up to now both have the same errors."""
+        self._sums[_SAVED] = self._sums[_MODEL]
+
+    def add(
+        self,
+        block: Block,
+        coefficients: FloatArray,  # (R, n) In use at the start of the block
+        saved: FloatArray | None,  # (R, n) Last saved
+    ) -> None:
+        """Add a block of signals; evaluate the prediction of each full second."""
+        if block.restarted:
+            self.restart()
+        if not self._parts:
+            self._coefficients, self._saved = coefficients, saved
+        self._parts.append(block)
+        self._time += block.time
+        if self._time < HORIZONS[0] - 0.5 * block.h:
+            return
+        second = join(self._parts)
+        if self._holds_force:
+            held = np.broadcast_to(second.specific_force[:1], second.specific_force.shape)
+            second = replace(second, specific_force=held)
+        x, now = second.x[1:], np.zeros((6, 3))
+        now[_SPREAD] = np.full(3, len(x)), x.sum(axis=0), (x * x).sum(axis=0)
+        now[_HOLD] = ((x - second.x[0]) ** 2).sum(axis=0)
+        now[_MODEL] = self._error(second, self._coefficients)
+        if self._saved is not None:
+            now[_SAVED] = self._error(second, self._saved)
+        self.predictions += 1
+        self._age += self._time
+        sums = self._sums
+        sums *= np.exp(-self._time / min(MEMORY, 0.5 * self._age))
+        sums += now
+        spread = _spread(sums)
+        failed = FAILED_PREDICTION * np.maximum(_spread(now), spread * now[0] / sums[0])
+        sums[_ERRORS] -= np.maximum(now[_ERRORS] - failed, 0.0)
+        ratio = np.divide(sums[_ERRORS], spread, out=np.ones((3, 3)), where=spread > 0.0)
+        self.fit, self.hold, self.saved = 100.0 * (1.0 - np.sqrt(ratio))
+        if self._saved is None:
+            self.saved = np.zeros(3)
+        self.restart()
+
+    def _error(self, second: Block, coefficients: FloatArray) -> FloatArray:
+        """Return the sum of the squared errors of a prediction, shape (3,)."""
+        states = self._model.propagate(coefficients, second, second.state[0])
+        return np.asarray(((second.x - bounded(states)[:, :3])[1:] ** 2).sum(axis=0))
+
+
+def _spread(sums: FloatArray) -> FloatArray:
+    """Return the sum of the squared deviations from the mean, shape (3,)."""
+    count, total, square = sums[_SPREAD]
+    return np.asarray(np.maximum(square - total * total / count, 0.0))
+
+
+# --- supervisor -----------------------------------------------------------------------------------
+
+
 class Supervisor:
     """Gates, weights of the rows, and the verdict on the coefficients."""
 
@@ -80,7 +182,8 @@ class Supervisor:
         # Coefficients changed in flight or with a contradicted initial value, oldest first
         self.changed: list[Change] = []
         self._relearning: dict[tuple[int, int], Change] = {}
-        self._residuals = ResidualGate()
+        self._usual = [0.0] * len(ROWS)  # Mean squares of the residuals, rad^2/s^4
+        self._usual_time = [0.0] * len(ROWS)  # Time over which they were taken, s
         self._within: BoolArray = np.ones(3, dtype=bool)
         self._learned: BoolArray = np.ones(3, dtype=bool)
         self.confirmed = Confirmation()  # Of the main control derivatives, by the flight
@@ -96,11 +199,28 @@ class Supervisor:
         time: float,  # Time that they cover, s
         clear: BoolArray,  # (3,) Rows in which the effect of the inputs exceeds the disturbance
     ) -> FloatArray:
-        """Return the weight of the samples of a tick in each row, shape (3,), 0 ... 1."""
+        """Return the weight of the samples of a tick in each row, shape (3,), 0 ... 1.
+
+        The weight falls with the size of the residual. It is zero far above the usual size, or
+        where the effect of the inputs does not exceed the disturbance, as in a storm with feedback.
+        The usual size grows slowly, and never in a storm.
+        """
         limit = self.settings.supervision.max_residual
-        weight = self._residuals.weigh(residual, time, limit, clear)
-        if not self.proven:
-            weight = np.ones(3)  # coefficients that were never usable must converge freely
+        squares = (np.add.reduce(residual * residual) / len(residual)).tolist()
+        weights = []
+        for i, (square, stands_out) in enumerate(zip(squares, clear.tolist(), strict=True)):
+            usual = self._usual[i] if self._usual_time[i] >= SHORT_MEMORY else math.inf
+            self._usual_time[i] = min(self._usual_time[i] + time, LONG_MEMORY)
+            clipped = min(square, OUTLYING * usual if stands_out else usual)
+            self._usual[i] += time / self._usual_time[i] * (clipped - self._usual[i])
+            if limit <= 0.0 or square <= OUTLYING * usual:
+                weights.append(1.0)
+            elif stands_out and square <= limit * limit * usual:
+                weights.append(OUTLYING * usual / square)
+            else:
+                weights.append(0.0)
+        # Coefficients that were never usable must converge freely.
+        weight = np.array(weights) if self.proven else np.ones(3)
         self._within = weight > 0.0
         return weight
 
@@ -114,15 +234,15 @@ class Supervisor:
         self._learned = estimator.learning
         within, learned_rows = self._within.tolist(), self._learned.tolist()
         quiet = sum(w and not row for w, row in zip(within, learned_rows, strict=True))
-        self.gates.charge("residual", ticks * within.count(False) / len(ROWS))
-        self.gates.charge("excitation", ticks * quiet / len(ROWS))
+        self.gates.lost["residual"] += ticks * within.count(False) / len(ROWS)
+        self.gates.lost["excitation"] += ticks * quiet / len(ROWS)
         for i, j in estimator.changes:
             name = f"{ROWS[i]}/{self._structure.regressors[j]}"
             prior_rejected = (i, j) in estimator.rejected
             change = Change(name, prior_rejected, t, float(self._sigma[i, j]))
             self._relearning[i, j] = change
             self.changed.append(change)
-            self._residuals.release(i)
+            self._usual_time[i] = 0.0
             self.confirmed.forget(i)
 
     def pauses(self) -> dict[str, str]:

@@ -252,7 +252,7 @@ class OfflineRun:
         A fault at the end counts.
         """
         last, identifier = self.estimates[-1], self.identifier
-        doubted = last.state == State.FAULT.value or identifier.plausibility.doubted
+        doubted = last.state == State.FAULT.value or identifier.plausibility.doubt is not None
         if doubted or identifier.idle <= LOOK_TIME:
             return last
         return self.estimates[self._learned]

@@ -17,15 +17,13 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from uav_ident_ros.identification.estimators.information import Information
-from uav_ident_ros.identification.estimators.model_error import known_without_error
 from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.regression import Regression, RowSamples
 from uav_ident_ros.identification.residuals import Autoregression
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME, SURE
+from uav_ident_ros.identification.scales import INDEPENDENT_TIME
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
     INPUTS,
-    MAIN_DERIVATIVES,
     ROWS,
     STRUCTURES,
     BoolArray,
@@ -41,7 +39,7 @@ class Estimator:
     Attributes
     ----------
     start : Start
-        Initial coefficients, their standard deviations, and flags of the free ones; it may change.
+        Initial coefficients, their standard deviations, and flags of the free ones.
     information : Information
         Information of the flight; excitation and uncertainty follow from it.
     coefficients : (R, n) array
@@ -92,11 +90,11 @@ class Estimator:
         self.height = 0.0
         self.answers: FloatArray = np.zeros(len(INPUTS))
         self.may_answer: BoolArray = np.zeros(len(ROWS), dtype=bool)
-        self.start = start
+        self.set_start(start)
 
-    def residual(self, samples: Regression) -> FloatArray:
-        """Return ``y - A f`` of m samples, shape (m, rows)."""
-        return samples.residual(self.linear)
+    def set_start(self, start: Start) -> None:
+        """Replace initial coefficients and prior; what was learned stays."""
+        self.start = start
 
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
@@ -167,17 +165,9 @@ class SecondEstimator(Generic[E]):
         parts, weights = zip(*self._gathered, strict=True)
         self._gathered = []
         samples = Regression.join(parts)
-        rows = RowSamples.of(samples, self.estimator.residual(samples), self._layout)
-        white = self.noise.whiten(rows, restarted=samples.restarted)
+        rows = RowSamples.of(samples, samples.residual(self.estimator.linear), self._layout)
+        white = RowSamples(
+            self.noise.whiten(rows.signals, rows.dt, restarted=samples.restarted), rows.dt
+        )
         self.estimator.update(samples, rows, white, np.add.reduce(weights) / samples.time)
         self.time += samples.time
-
-
-def known_inputs(estimator: Estimator, t_ratio: float = SURE) -> BoolArray:
-    """Return which main control derivatives exceed this t-ratio, model errors excluded, (3,).
-
-    A servo lag that is not configured is a model error and no reason to start afresh.
-    """
-    value, sigma = estimator.coefficients[MAIN_DERIVATIVES], estimator.sigma[MAIN_DERIVATIVES]
-    known = known_without_error(sigma, value, estimator.model_error, t_ratio)
-    return np.asarray((sigma > 0.0) & known)

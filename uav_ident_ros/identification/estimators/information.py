@@ -183,7 +183,7 @@ class Information:
         self._used = np.flatnonzero(self.layout.used)
         self._places = (structure.size * self._i + self._j).ravel()[self._used]
         self._transform = Transform(structure, self.layout)
-        self.start = start
+        self.set_start(start)
         self.sums = Sums.empty(parts, rows, k)
         # Rows whose regressors are still their own instruments, and the end of that time, s
         self.warming_up: BoolArray = np.full(rows, any(instrumental))
@@ -196,14 +196,9 @@ class Information:
         self._score: FloatArray = np.zeros((parts, rows, k))
         self._score_time: FloatArray = np.zeros(rows)
 
-    @property
-    def start(self) -> Start:
-        """Initial coefficients, their standard deviations, and flags of the free ones."""
-        return self._start
-
-    @start.setter
-    def start(self, start: Start) -> None:
-        self._start = start
+    def set_start(self, start: Start) -> None:
+        """Replace initial coefficients, standard deviations, and flags of the free ones."""
+        self.start = start
         used = self.layout.used
         self._initial = np.where(used, start.values[self._i, self._j], 0.0)[..., None]
         self.free: BoolArray = used & start.free[self._i, self._j]
@@ -266,7 +261,14 @@ class Information:
         self._score += begun[:, None] * score
         self._score_time += time
         if max(self._score_time.tolist()) >= INDEPENDENT_TIME:
-            self._close_blocks(self._score_time >= INDEPENDENT_TIME)
+            # Add the scores of the rows whose block is full, and forget.
+            full = self._score_time >= INDEPENDENT_TIME
+            score = full[:, None] * self._score
+            self.sums.scores += score[..., :, None] * score[..., None, :]
+            self.sums.blocks += full
+            if self.forgetting_time > 0.0:
+                self.sums.weigh(np.exp(full * self._score_time / -self.forgetting_time))
+            self._score[:, full] = self._score_time[full] = 0.0
 
     @property
     def _plain(self) -> BoolArray:
@@ -286,16 +288,6 @@ class Information:
         plain = self._plain[0]
         rows.z[plain] = rows.f[plain]
         return rows
-
-    def _close_blocks(self, full: BoolArray) -> None:
-        """Add the scores of the rows whose block is full, and apply the forgetting factor."""
-        score = full[:, None] * self._score
-        self.sums.scores += score[..., :, None] * score[..., None, :]
-        self.sums.blocks += full
-        if self.forgetting_time > 0.0:
-            self.sums.weigh(np.exp(full * self._score_time / -self.forgetting_time))
-        self._score[:, full] = 0.0
-        self._score_time[full] = 0.0
 
     def discount(self, keep: float) -> None:
         """Multiply all sums by `keep`."""
@@ -336,11 +328,11 @@ class Information:
             change: FloatArray = np.linalg.solve(matrix, projected @ target)
         except np.linalg.LinAlgError:
             change = np.full_like(target, np.nan)
-        unbounded = found = self._placed((self._initial + change)[..., 0], self._start.values)
+        unbounded = found = self._placed((self._initial + change)[..., 0], self.start.values)
         held = self._within_bounds(change, matrix)
         physical = self._initial + held
         if held is not change:
-            found = self._placed(physical[..., 0], self._start.values)
+            found = self._placed(physical[..., 0], self.start.values)
         linear = (transform @ physical)[..., 0]
         return Solution(found, unbounded, linear, sums, transform, projected, scale, matrix, prior)
 
@@ -372,7 +364,8 @@ class Information:
         feedback add their parts.
 
         The covariance is that of the structure's coefficients at their entries, row by row, without
-        feedback, (parts, rows, k, k). The standard deviations, (parts, R, n), include feedback.
+        feedback, (parts, rows, k, k). The standard deviations, (parts, R, n), include feedback;
+        those of fixed coefficients stay.
         """
         sums, prior = solution.sums, solution.prior
         try:
@@ -389,8 +382,15 @@ class Information:
         for part in range(len(variance)):
             if part != 1:  # Not the whitened part: an innovation precedes the feedback from it
                 variance[part] += self._answered(solution, part, gain[part])
-        resolution = 1.0 - diagonal(inverse) * prior
-        return covariance, self._sigma(variance, solution.linear, resolution)
+        out = self._placed(variance, np.zeros_like(self.start.values))
+        # The uncertainty of a force row that defines a flow angle adds to that of the moment. Its
+        # factor is the share of the samples, 1 without a prior.
+        row, column, entry, angle, force = self._transform.by_force
+        resolved = (1.0 - diagonal(inverse) * prior)[:, row, entry] ** 2
+        out[:, row, column] += (
+            solution.linear[:, row, angle] ** 2 * out[:, force, column] * resolved
+        )
+        return covariance, np.where(self.start.free, np.sqrt(out), self.start.sigma)
 
     def _answered(self, solution: Solution, part: int, gain: FloatArray) -> FloatArray:
         """Return the largest error by feedback, squared, (rows, k).
@@ -422,21 +422,6 @@ class Information:
         reach = np.minimum(level[:, None] / np.maximum(1.0 - kappa, ROUNDING), known)
         reach *= kappa >= _FROM_KAPPA
         return np.asarray(np.maximum.reduce((along @ reach[..., None])[..., 0], axis=1))
-
-    def _sigma(
-        self, variance: FloatArray, linear: FloatArray, resolution: FloatArray
-    ) -> FloatArray:
-        """Return the standard deviations of the structure's coefficients, (parts, R, n).
-
-        Fixed coefficients keep that of the start. The uncertainty of a force row that defines a
-        flow angle adds to that of the moment. Its factor is the `resolution` (parts, rows, k), the
-        share of the samples, 1 without a prior.
-        """
-        out = self._placed(variance, np.zeros_like(self._start.values))
-        row, column, entry, angle, force = self._transform.by_force
-        share, resolved = linear[:, row, angle] ** 2, resolution[:, row, entry] ** 2
-        out[:, row, column] += share * out[:, force, column] * resolved
-        return np.where(self._start.free, np.sqrt(out), self._start.sigma)
 
     def _placed(self, entries: FloatArray, over: FloatArray) -> FloatArray:
         """Return `over` (R, n) with entries (parts, rows, k) at their places in the structure."""

@@ -26,7 +26,12 @@ from numpy.typing import NDArray
 from uav_ident_ros.identification.estimators.information import POWERLESS
 from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
 from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME, ROUNDING, SURE
-from uav_ident_ros.identification.structure import ROWS, BoolArray, FloatArray
+from uav_ident_ros.identification.structure import (
+    MAIN_DERIVATIVES,
+    ROWS,
+    BoolArray,
+    FloatArray,
+)
 
 LOADING = 1e-4
 """Added to the information, relative to its diagonal: the input and its square are collinear. A
@@ -47,11 +52,18 @@ def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray)
     return np.asarray(np.sqrt(np.maximum(sigma**2 - (share * value) ** 2, 0.0)))
 
 
-def known_without_error(
-    sigma: FloatArray, value: FloatArray, share: FloatArray, t_ratio: float = SURE
+def known_inputs(
+    coefficients: FloatArray,  # (R, n)
+    sigma: FloatArray,  # (R, n)
+    share: FloatArray,  # (3,) Model error of each row's main input, relative to its effect
+    t_ratio: float = SURE,
 ) -> BoolArray:
-    """Return flags of values that exceed this t-ratio, model errors excluded."""
-    return np.asarray(np.abs(value) > t_ratio * sigma_without_error(sigma, value, share))
+    """Return which main control derivatives exceed this t-ratio, model errors excluded, (3,).
+
+    A servo lag that is not configured is a model error, and makes no input unknown.
+    """
+    value, spread = coefficients[MAIN_DERIVATIVES], sigma[MAIN_DERIVATIVES]
+    return np.asarray(np.abs(value) > t_ratio * sigma_without_error(spread, value, share))
 
 
 class ModelError:
@@ -114,27 +126,23 @@ class ModelError:
         if not weight.any():
             return
         self._gathered.append((samples, samples.dt * weight))
-        if sum(part.time for part, _ in self._gathered) >= INDEPENDENT_TIME - 0.5 * samples.dt:
-            self._close_block()
-            self._settled += settled
-            self._look(np.append(ratio, roll_ratio)[: len(self._entries)], effect)
-
-    def _close_block(self) -> None:
-        """Add the collected samples as a block."""
+        if sum(part.time for part, _ in self._gathered) < INDEPENDENT_TIME - 0.5 * samples.dt:
+            return
         parts, weights = zip(*self._gathered, strict=True)
         self._gathered.clear()
-        samples = RowSamples.join(parts)
-        rows = slice(len(self._entries))
+        block = RowSamples.join(parts)
+        rows, at = slice(len(self._entries)), self._blocks % BLOCKS
         weight = np.repeat(weights, [part.count for part in parts], axis=0).T
         weight = weight[[0, 1, 2, 0][rows]]  # the row of ay is excited by roll
         weight[:, 0] = 0.0  # no derivative of the first sample
-        f, z = (self._extended(part[rows], samples.dt) for part in (samples.f, samples.z))
+        f, z = (self._extended(part[rows], block.dt) for part in (block.f, block.z))
         weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
-        at = self._blocks % BLOCKS
         self._zf[:, at], self._zz[:, at] = weighted @ f, weighted @ z
-        self._zy[:, at] = (weighted @ samples.y[rows, :, None])[:, :, 0]
-        self._squares[:, at] = np.add.reduce(weight * samples.residual[rows] ** 2, axis=1)
+        self._zy[:, at] = (weighted @ block.y[rows, :, None])[:, :, 0]
+        self._squares[:, at] = np.add.reduce(weight * block.residual[rows] ** 2, axis=1)
         self._blocks += 1
+        self._settled += settled
+        self._look(np.append(ratio, roll_ratio)[rows], effect)
 
     def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
         """Return regressors (rows, m, k), or instruments, extended by those of each row's u."""

@@ -15,12 +15,12 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.estimator import Estimator, SecondEstimator
-from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Solution
-from uav_ident_ros.identification.estimators.model_error import ModelError, known_without_error
+from uav_ident_ros.identification.estimators.information import MODEL_ERROR
+from uav_ident_ros.identification.estimators.model_error import ModelError, known_inputs
 from uav_ident_ros.identification.gates import ExcitationGate
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.residuals import Feedback
+from uav_ident_ros.identification.residuals import MAIN_PLACES, Feedback
 from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     LOOK_TIME,
@@ -32,7 +32,6 @@ from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
-    INPUTS,
     MAIN_COLUMNS,
     MAIN_DERIVATIVES,
     RATE_COLUMNS,
@@ -41,8 +40,6 @@ from uav_ident_ros.identification.structure import (
     BoolArray,
     FloatArray,
 )
-
-_AILERON = INPUTS.index("da")
 
 
 class RecursiveRegression(Estimator):
@@ -92,18 +89,14 @@ class RecursiveRegression(Estimator):
         self._detector = ChangeDetector(self.start.free[:3], self._cutoff)
         self._since_sigma = np.inf
 
-    @property
-    def start(self) -> Start:
-        """Initial coefficients, their standard deviations, and flags of the free ones."""
-        return self.information.start
-
-    @start.setter
-    def start(self, start: Start) -> None:
-        self.information.start = start
+    def set_start(self, start: Start) -> None:
+        """Replace initial coefficients and prior, also those of the reference."""
+        super().set_start(start)
+        self.information.set_start(start)
         inputs_known = start.known_a_priori(self._structure)[: len(ROWS), INPUT_COLUMNS]
         self._known_a_priori = inputs_known.any(axis=1)
         if self._reference:
-            self._reference.estimator.start = start.weakened(self._structure)
+            self._reference.estimator.set_start(start.weakened(self._structure))
         self.coefficients = np.where(start.free, self.coefficients, start.values)
         self.sigma = np.where(start.free, self.sigma, start.sigma)
 
@@ -141,17 +134,17 @@ class RecursiveRegression(Estimator):
         # An input that answers gusts looks late. Without knowledge a priori either denies the row.
         ratio = answers * self._known_a_priori
         # The height has no such knowledge, and chance must not hide it: it biases the aileron.
-        rolls = float(answers[0]) if self.answers[_AILERON] else 0.0
+        rolls = float(answers[0]) if self.answers[MAIN_PLACES[0]] else 0.0
         effect = self.linear[MAIN_DERIVATIVES]
         settled = self.information.time.max() >= START_TIME
         restarted = samples.restarted
         # In quiet flight the samples contain only gusts and an autopilot's answers.
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
-        known_inputs = self._known_inputs()
-        self.model_error = self._error.relative_error(known_inputs)
+        known_now = known_inputs(self.coefficients, self.sigma, self._error.share)
+        self.model_error = self._error.relative_error(known_now)
         # Where gusts alone make the aircraft roll, their side force looks like a height.
-        self.height = self._error.height if known_inputs[0] else 0.0
+        self.height = self._error.height if known_now[0] else 0.0
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
         self.information.add(parts, weight, answering)
@@ -168,14 +161,9 @@ class RecursiveRegression(Estimator):
         instrument for the whole excitation. Least squares over its first seconds is better.
         """
         self._ever_injected = True
-        known = self._row_weights(1.0 * self._known_inputs())
-        self.information.begin_anew(known == 0.0)
+        known = known_inputs(self.coefficients, self.sigma, self._error.share)
+        self.information.begin_anew(self._row_weights(1.0 * known) == 0.0)
         self._since_sigma = np.inf
-
-    def _known_inputs(self) -> BoolArray:
-        """Return flags of rows with a known main derivative, model errors excluded, (3,)."""
-        value, sigma = self.coefficients[MAIN_DERIVATIVES], self.sigma[MAIN_DERIVATIVES]
-        return known_without_error(sigma, value, self._error.share)
 
     def _influence(self, samples: Regression) -> float:
         """Return the factor of the instruments of injected samples, 0 ... 1.
@@ -198,17 +186,27 @@ class RecursiveRegression(Estimator):
     def _solve(self, early: float = 0.0) -> None:
         """Solve; clear all information if a row diverges.
 
-        Standard deviations follow every `LOOK_TIME`, or `early` s sooner.
+        Standard deviations follow every `LOOK_TIME`, or `early` s sooner. They cover the distances
+        between the parts. Estimates at a bound agree there, however far apart they are without it:
+        the distances are those of the unbounded estimates, and the shift by the bound is added.
         """
         due, before = self._since_sigma >= LOOK_TIME - early, self.coefficients
         solution = self.information.solve(before, slice(None) if due else slice(1))
-        values, sigma = solution.values[0], self.sigma
+        values = solution.values[0]
+        sound = np.maximum.reduce(np.abs(values), axis=None) < LARGEST_NUMBER  # NaN fails too
         if due:
-            covariance, sigmas = self.information.spread(solution)
-            sigma = self._sigma(solution, sigmas)
-        largest = np.maximum.reduce(np.abs(values), axis=None)
-        sound = largest < LARGEST_NUMBER  # NaN fails too
-        if not sound or (due and not np.isfinite(sigma).all()):
+            covariance, (sigma, white_sigma, *_) = self.information.spread(solution)
+            own, white, *reference = solution.unbounded
+            for other in reference:
+                sigma = np.hypot(sigma, own - other)
+            sigma = np.hypot(np.maximum(sigma, white_sigma), own - white)
+            sigma = np.hypot(sigma, own - values)
+            main = MAIN_DERIVATIVES
+            sigma[main] = np.hypot(sigma[main], self._error.share * values[main])
+            sigma = np.hypot(sigma, MODEL_ERROR * values)
+            sigma = np.where(self.start.free, sigma, self.start.sigma)
+            sound = sound and bool(np.isfinite(sigma).all())
+        if not sound:
             self.forget(0.0)
             return
         if due:
@@ -216,24 +214,6 @@ class RecursiveRegression(Estimator):
             self.sigma, self._since_sigma = sigma, 0.0
         self.linear = self._layout.matrix(solution.linear[0])
         self.coefficients = values
-
-    def _sigma(self, solution: Solution, sigmas: FloatArray) -> FloatArray:
-        """Return the published standard deviations, from those of all parts.
-
-        Estimates at a bound agree there, however far apart they are without it. The distances are
-        therefore those of the unbounded estimates, and the shift by the bound is added.
-        """
-        own, white, *reference = solution.unbounded
-        sigma = sigmas[0]
-        for other in reference:
-            sigma = np.hypot(sigma, own - other)
-        sigma = np.hypot(np.maximum(sigma, sigmas[1]), own - white)
-        own, beyond = solution.values[0], own - solution.values[0]
-        sigma = np.hypot(sigma, beyond)
-        main = MAIN_DERIVATIVES
-        sigma[main] = np.hypot(sigma[main], self._error.share * own[main])
-        sigma = np.hypot(sigma, MODEL_ERROR * own)
-        return np.where(self.start.free, sigma, self.start.sigma)
 
     # -- rejection of priors ----------------------------------------------------------------
 
@@ -271,7 +251,7 @@ class RecursiveRegression(Estimator):
             self._begin_changes()
             self.rejected.append((row, int(MAIN_COLUMNS[row])))
         self.changes += self.rejected
-        self.start = self.start.weakened(self._structure, against)
+        self.set_start(self.start.weakened(self._structure, against))
         self._since_sigma = np.inf
         if not self.start.informative(self._structure).any():
             self._reference, self._feedback = None, reference._feedback
@@ -340,7 +320,7 @@ class RecursiveRegression(Estimator):
         # No prior holds the coefficients at their former values.
         sigma = self.start.sigma.copy()
         sigma[at] = weak[at]
-        self.start = replace(self.start, sigma=sigma)
+        self.set_start(replace(self.start, sigma=sigma))
         known, covariances = self._known  # whitened
         mean, transform = known.linear[1, row].copy(), known.transform[row]
         covariance = transform @ covariances[1, row] @ transform.T
@@ -350,7 +330,7 @@ class RecursiveRegression(Estimator):
         covariance += np.diag(constant**2 + moved**2)
         sums = information.sums_of()
         sums.set_known(row, mean, covariance, information.free[row], information.unit[:, row])
-        after = RowSamples.of(samples, self.residual(samples), self._layout)
+        after = RowSamples.of(samples, samples.residual(self.linear), self._layout)
         # The other parts learn from the samples to come.
         only = 1.0 * (np.arange(self._layout.rows) == row)
         sums[:1].add(information.instrumented(after), only)
