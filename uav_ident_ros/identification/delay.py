@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -229,7 +229,7 @@ class DelayBank:
         self._pick = first[:, None, None] + steps  # (J, W, N + 2): one more step on both sides
         self._errors: deque[FloatArray] = deque(maxlen=BLOCKS)
         self._power: FloatArray = np.zeros((len(LAGS), len(INPUTS)))  # Of the inputs with each lag
-        self._work: Iterator[bool | None] = iter(())  # On a block, the parts that are left
+        self._block: Generator[None, None, bool] | None = None
         self._response, self._injected = InjectedResponse(), NO_ESTIMATE
         if before is not None:
             self._response, known = before._response, before.estimate
@@ -278,13 +278,14 @@ class DelayBank:
         if self._first is None:
             self._first = int(edges[0]) + before
         self._parts.append((block, excited))
-        renewed = bool(next(self._work, False))
+        renewed = self._work()
         while edges[-1] - max(delay_ns, 0) >= self._first + self._length_ns:
-            renewed = any([*self._work, renewed])
+            while self._block is not None:
+                renewed = self._work() or renewed
             signals, first = self._signals(self._first), self._first
             self._first += WINDOW * WINDOWS * round(STEP / NS)
             if signals.injected or self._excited(first, self._first):
-                self._work = self._judge_models(signals)
+                self._block = self._judge_models(signals)
             keep = self._first - before - round(STEP / NS)  # Signals are means over a step
             self._parts = [part for part in self._parts if part[0].t_ns[-1] >= keep]
         return renewed
@@ -330,20 +331,28 @@ class DelayBank:
             self._response.add(signals[:, :5], means[own], injected[own], self._lag)
         return _Signals(x, force, down, airspeed, means, bool(injected.any()))
 
-    def _judge_models(self, signals: _Signals) -> Iterator[bool | None]:
-        """Score and update the models with each lag by a block, in parts; then estimate.
+    def _work(self) -> bool:
+        """Do the next part of the work on a block; return whether the estimate is new."""
+        if self._block is None:
+            return False
+        try:
+            next(self._block)
+        except StopIteration as done:
+            self._block = None
+            return bool(done.value)
+        return False
 
-        The part that renews the estimate yields true.
-        """
+    def _judge_models(self, signals: _Signals) -> Generator[None, None, bool]:
+        """Score and update the models with each lag by a block, in steps; then estimate."""
         self._power *= _KEEP
         scores = []
         for power, lag, models in zip(self._power, LAGS, self._models, strict=True):
             u = _lagged(signals.u, lag)
             power += u.var(axis=0)
             scores.append(models.score(signals, u[self._pick]))
-            yield None
+            yield
             models.learn(signals, u, self._pick[..., 1:-1:SAMPLE])
-            yield None
+            yield
         if signals.injected and self._response.windows > 2 * FEWEST_BLOCKS:
             found = yield from self._response.find(self.delays, LAGS, APART * STEP)
             at_lag = yield from self._response.find(self.delays, (self._lag,), APART * STEP)
@@ -351,7 +360,7 @@ class DelayBank:
                 self._injected = by_injection(found, at_lag, self._lag)
         errors = [e for e in scores if e is not None]  # No score before the first updates
         if not errors:
-            return
+            return False
         self._errors.append(np.stack(errors))
         if len(self._errors) >= FEWEST_BLOCKS:
             opposed = False if self._has_flow else self._models[0].opposed(self._early)
@@ -359,7 +368,7 @@ class DelayBank:
             if self._response.windows > 0.0:  # The sum then waits for the injected response
                 bank = replace(bank, total_sigma=max(bank.total_sigma, self._injected.total_sigma))
             self.estimate = self._injected if self._injected.total_sure else bank
-        yield True
+        return True
 
 
 class _Models:
