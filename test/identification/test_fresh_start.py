@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight after carrying the aircraft with moving surfaces: learning begins anew in the air."""
 
+from pathlib import Path
 from typing import Any
 
 import flying
@@ -9,11 +10,15 @@ import pytest
 from light_aircraft import TRUTH
 from verdict_flights import carried
 
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.estimators.model_error import known_inputs
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.offline.inputs import choose_inputs
+from uav_ident_ros.offline.run import OfflineRun
 
+QUIET_FLIGHT = Path(__file__).resolve().parents[3] / "shared" / "bags" / "proto_flt09"
 CARRIED = 20.0
 """Time of carrying before the launch, s."""
 
@@ -37,6 +42,20 @@ def test_known_coefficients_are_never_learned_anew() -> None:
     first = identifier.estimator
     flying.run(identifier, flying.messages(flown))
     assert identifier.estimator is first
+
+
+@pytest.mark.skipif(not QUIET_FLIGHT.exists(), reason=f"there is no {QUIET_FLIGHT.name}")
+def test_a_lateness_that_may_be_noise_is_no_reason_to_begin_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A rudder of 22 +- 21, perhaps 96 % late, is not known."""
+    with Bag(QUIET_FLIGHT) as bag:
+        flown = OfflineRun(choose_inputs(bag, {"structure": "flight_dynamics"}))
+        first, every, end_ns = flown.identifier.estimator, bag.messages, bag.start_ns + 130 * 10**9
+        early = (m for m in every(flown.inputs.topics) if m.log_ns < end_ns)
+        monkeypatch.setattr(bag, "messages", lambda _: early)
+        flown.run(bag)
+    assert flown.identifier.estimator is first
 
 
 def test_a_custom_estimator_shared_by_both_estimates_learns_once() -> None:

@@ -108,14 +108,16 @@ def test_evidence_against_an_unknown_estimate_does_not_count_against_a_known_one
 
     def doubt(sigma: FloatArray) -> str:
         running = identifier.running_fit
-        supervisor.judge(
-            35.0, estimator.coefficients, sigma, running, np.zeros(3), [""] * 3, np.inf
-        )
+        supervisor.judge(35.0, estimator.coefficients, sigma, running, estimator, [""] * 3, np.inf)
         return supervisor.verdict[0]
 
     assert doubt(estimator.sigma).startswith("pdot/da is contradicted")
     assert doubt(np.abs(estimator.coefficients)).startswith("pdot/da has a t-ratio of 1.0")
     assert doubt(estimator.sigma).startswith("pdot/da is unconfirmed")
+    # No part of sigma is a lateness that may be noise.
+    estimator.model_error = np.full(3, 0.9)
+    assert doubt(np.abs(estimator.coefficients)).startswith("pdot/da has a t-ratio of 1.0")
+    assert doubt(estimator.sigma).startswith("pdot follows da badly: 90 %")
 
 
 def test_without_adaptation_the_fit_is_low_on_the_axis_with_a_wrong_value() -> None:

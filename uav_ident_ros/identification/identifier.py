@@ -538,7 +538,7 @@ class OnlineIdentifier:
 
         def identifies(estimator: Estimator, t_ratio: float) -> bool:
             """Whether a free main control derivative is known."""
-            found = estimator.coefficients, estimator.sigma, estimator.model_error
+            found = estimator.coefficients, estimator.sigma, estimator.sure_error
             free = estimator.sigma[MAIN_DERIVATIVES] > 0.0
             return bool((free & known_inputs(*found, t_ratio)).any())
 
@@ -652,7 +652,7 @@ class OnlineIdentifier:
                 t_ns * NS,
                 *self._shown,
                 self.running_fit,
-                estimator.model_error,
+                estimator,
                 self.setup_doubts,
                 math.inf if self._warm else self._learned_time,
             )

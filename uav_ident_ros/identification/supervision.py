@@ -261,8 +261,7 @@ class Supervisor:
         coefficients: FloatArray,  # (R, n)
         sigma: FloatArray,  # (R, n)
         running: RunningFit,
-        # (3,) Unmodelled response to each main input, relative to the effect of that input
-        model_error: FloatArray,
+        estimator: Estimator,  # Source of the model errors
         denied: Sequence[str],  # Reason against each row by wrong settings; empty if none
         learned_time: float,  # Since a cold start, s; inf after a warm one
     ) -> None:
@@ -278,7 +277,7 @@ class Supervisor:
             young = f"{int(learned_time)} s of learning, {JUDGED_FROM:g} s are needed for a verdict"
         settings = self.settings.supervision
         main, spread = coefficients[MAIN_DERIVATIVES], sigma[MAIN_DERIVATIVES]
-        beside = sigma_without_error(spread, main, model_error)
+        beside = sigma_without_error(spread, main, estimator.sure_error)
         unknown = [
             _unknown_input(settings, i, main.item(i), spread.item(i)) for i in range(len(ROWS))
         ]
@@ -292,7 +291,7 @@ class Supervisor:
             or young
             or _poor_fit(settings, running, i)
             or _unknown_input(settings, i, main.item(i), beside.item(i))  # late or not
-            or _incomplete(i, float(model_error[i]), settings.min_t_ratio)
+            or _incomplete(i, float(estimator.model_error[i]), settings.min_t_ratio)
             or unknown[i]
             or self.confirmed.doubt(i)
             for i in range(len(ROWS))

@@ -59,6 +59,8 @@ class Estimator:
         them whose prior it rejected.
     model_error : (3,) array
         Model error of the main inputs' effects, relative to the effects.
+    sure_error : (3,) array
+        The same, where it is significant: sigma contains it.
     height : float
         Height of the accelerometer above `imu.lever_arm`, m; 0 if not significant.
     answers : (4,) array
@@ -87,6 +89,7 @@ class Estimator:
         self.changes: list[tuple[int, int]] = []
         self.rejected: list[tuple[int, int]] = []
         self.model_error: FloatArray = np.zeros(len(ROWS))
+        self.sure_error: FloatArray = np.zeros(len(ROWS))
         self.height = 0.0
         self.answers: FloatArray = np.zeros(len(INPUTS))
         self.may_answer: BoolArray = np.zeros(len(ROWS), dtype=bool)

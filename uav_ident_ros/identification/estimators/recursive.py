@@ -142,7 +142,7 @@ class RecursiveRegression(Estimator):
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
         known_now = known_inputs(self.coefficients, self.sigma, self._error.share)
-        self.model_error = self._error.relative_error(known_now)
+        self.model_error, self.sure_error = self._error.relative_error(known_now), self._error.share
         # Where gusts alone make the aircraft roll, their side force looks like a height.
         self.height = self._error.height if known_now[0] else 0.0
         weight = self._row_weights(weight)
