@@ -72,7 +72,7 @@ def test_a_flight_has_its_own_domain_unless_one_is_given(
         monkeypatch.setenv("ROS_DOMAIN_ID", given)
     else:
         monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-    assert closed_loop.main([]) == 1
+    assert closed_loop.main([]) == 2
     assert domains == [given] if given else domains[0] in map(str, range(1, 102))
 
 

@@ -95,12 +95,14 @@ def test_the_error_names_an_impossible_flight_sensor_or_fault(
         ("--duration 0", "duration is 0.0: it must be positive"),
         ("--seed -1", "seed is -1: it must be 0 or more"),
         ("--fault 5:x", "fault '5:x' is none of"),
+        ("--duration 60 --fault 60:repaired", "before the end of the flight, at 60 s: '30: rep"),
+        ("--duration 60 --fault repaired", "needs a time before the end of the flight, at 60 s"),
         ("--aircraft ufo", "aircraft 'ufo' is not set up here"),
         ("--output /dev/null", "File exists: '/dev/null'"),
     ],
 )
 def test_impossible_options_are_refused_by_name(options: str, named: str, capsys: Capture) -> None:
-    assert closed_loop.main(options.split()) == 1
+    assert closed_loop.main(options.split()) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("closed_loop: ") and named in line
 

@@ -406,7 +406,7 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
-        """Run one tick: check the signals, segment, score, regress, estimate, judge."""
+        """Run one tick: check the signals, segment, score, regress, estimate, judge, publish."""
         self.idle += 1.0 / self.settings.update_rate
         self.intake.merge(t_ns)
         self._speed.update(t_ns)

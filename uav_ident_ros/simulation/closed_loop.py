@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.commandline import INTERRUPTED, OneLineParser
+from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR, OneLineParser
 from uav_ident_ros.control import LAWS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.waiting import Progress
@@ -244,7 +244,12 @@ def loop_from(options: argparse.Namespace) -> Loop:
     if options.turbulence:
         faults.append(f"0: turbulence {options.turbulence}")
     for text in faults:
-        parse_fault(text)
+        fault, end = parse_fault(text), options.duration
+        if not 0.0 <= fault.time < end:
+            raise SimulationError(
+                f"fault '{text}' needs a time before the end of the flight, at {end:g} s: "
+                f"'{0.5 * end:g}: {fault}'"
+            )
     return Loop(
         options.duration, tuple(faults), options.mode, not options.ignore_verdict,
         options.cold, options.excite, options.seed, not options.real_time,
@@ -253,7 +258,7 @@ def loop_from(options: argparse.Namespace) -> Loop:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fly one flight; return the exit status, 1 if the aircraft was lost."""
+    """Fly one flight; return the exit status: 1 if the aircraft was lost, 2 if it did not fly."""
     options = make_parser().parse_args(arguments)
     try:
         loop = loop_from(options)
@@ -270,7 +275,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(line)
     except (SimulationError, OSError) as error:
         print(f"closed_loop: {error}", file=sys.stderr)
-        return 1
+        return USAGE_ERROR
     except KeyboardInterrupt:
         return INTERRUPTED
     return int(np.isfinite(record["lost"][0]))
