@@ -216,7 +216,7 @@ def test_a_process_that_does_not_start_ends_the_flight(tmp_path: Path, capsys: C
     wrong = replace(SHORT, parameters={"controller": {"law": "hope"}})
     with pytest.raises(SimulationError, match=r"controller ended: .*'hope'"):
         fly(wrong, tmp_path / "flight")
-    assert main(["--fault", "flaps fall off"]) == 1
+    assert main(["--fault", "flaps fall off"]) == 2
     assert "is none of" in capsys.readouterr().err
 
 
