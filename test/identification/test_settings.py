@@ -53,6 +53,10 @@ PAPER = DIFFERENCES | {"estimator": "gradient", "structure": "baseline"}
         ({"excitation.amplitude": (0.1, 0.1, 0.1)}, "excitation.amplitude"),
         ({"excitation.amplitude": (0.1, -0.1, 0.1, 0.0)}, "excitation.amplitude"),
         ({"excitation.band": (2.0, 0.2)}, "excitation.band"),
+        ({"excitation.band": (20.0, 21.0)}, r"'excitation.band' is \[20.0, 21.0\]: allowed is"),
+        ({"imu.rpy": (1.0,)}, "'imu.rpy' has 1 values: 3 are needed$"),
+        ({"gradient.gains": (1.0,)}, "15 or 225 are needed .structure 'flight_dynamics'"),
+        ({"actuators.trim": (1.0,)}, "4 are needed .'actuators.channels' names 4.$"),
         ({"excitation.lead": 0.4, "time_jump": 0.3}, r"'input_wait' allow 0\.35 s"),
         ({"excitation.form": "sweep"}, "excitation.form"),
         *(

@@ -60,16 +60,17 @@ class Setting:
         """
         if isinstance(value, (list, tuple)) or hasattr(value, "tolist"):
             value = tuple(value)  # type: ignore[arg-type]
+        given = list(value) if isinstance(value, tuple) else value  # As the user writes it
         fits, wanted = _KINDS[self.type]
         if not fits(value):
             if self.type == "float" and _is(int, value):
                 wanted = f"that is an integer: write {float(typing.cast(int, value))}"
-            raise SettingsError(f"'{self.name}' is {value!r}: {wanted}")
+            raise SettingsError(f"'{self.name}' is {given!r}: {wanted}")
         for entry in value if isinstance(value, tuple) else (value,):
             if not isinstance(entry, str):
                 number = float(typing.cast(float, entry))
                 if not self.low <= number <= self.high:  # NaN fails too
-                    raise SettingsError(f"'{self.name}' is {value!r}: allowed is {self.allowed()}")
+                    raise SettingsError(f"'{self.name}' is {given!r}: allowed is {self.allowed()}")
             elif self.choices and entry not in self.choices:
                 allowed = f"allowed are {', '.join(self.choices)}"
                 hint = f"; {meant}" if (meant := nearest(entry, self.choices)) else ""
@@ -583,12 +584,16 @@ def _check_lengths(settings: Settings) -> None:
     """Check that every array has as many values as structure and channels need."""
     structure = STRUCTURES[settings.structure]
     n, channels = structure.size, len(settings.actuators.channels)
-    one_each = ("scale", "trim", "thrust_curve", "lower_limit", "upper_limit")
-    lengths: dict[str, tuple[int, ...]] = {
+    by_structure: dict[str, tuple[int, ...]] = {
         "gradient.gains": (0, n, n * n),
         "initial_coefficients": tuple(sorted({0, len(ROWS) * n, len(structure.dense_rows) * n})),
+    }
+    one_each = ("scale", "trim", "thrust_curve", "lower_limit", "upper_limit")
+    by_channels: dict[str, tuple[int, ...]] = {
         **{f"actuators.{name}": (0, channels) for name in one_each},
         **{f"actuators.mixing.{name}": (channels,) for name in INPUTS},
+    }
+    fixed: dict[str, tuple[int, ...]] = {
         "imu.rpy": (3,),
         "imu.lever_arm": (3,),
         "model.inertia": (0, 4),
@@ -596,15 +601,15 @@ def _check_lengths(settings: Settings) -> None:
         "excitation.band": (2,),
     }
     values = settings.values()
-    for name, allowed in lengths.items():
+    for name, allowed in {**by_structure, **by_channels, **fixed}.items():
         count = len(typing.cast(tuple[float, ...], values[name]))
         if count not in allowed:
-            wanted = " or ".join(str(k) for k in allowed if k)
-            _refuse(
-                name,
-                f"has {count} values: {wanted} are needed (structure '{structure.name}' has {n} "
-                f"regressors, 'actuators.channels' names {channels} channels)",
-            )
+            wanted, why = " or ".join(str(k) for k in allowed if k), ""
+            if name in by_structure:
+                why = f" (structure '{structure.name}' has {n} regressors)"
+            elif name in by_channels:
+                why = f" ('actuators.channels' names {channels})"
+            _refuse(name, f"has {count} values: {wanted} are needed{why}")
 
 
 def _check_consistency(settings: Settings) -> None:
