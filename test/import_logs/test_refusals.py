@@ -366,7 +366,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("actuator_motors", px4(options="--actuators-topic servos")),
     (r"has no actuators \(actuator_c", px4(options="--actuators-topic actuator_controls_0")),
     ("has no airspeed", px4(options="--airspeed")),
-    (r"no usable parameters: 'imu.lever_arm' is \(1000.0, 0.0, 0.0\): allowed is -100 to 100 m",
+    (r"no usable parameters: 'imu.lever_arm' is \[1000.0, 0.0, 0.0\]: allowed is -100 to 100 m",
      px4(parameters={"EKF2_IMU_POS_X": 1000.0})),
     (r"\(CA_ROTOR\*, CA_SV_CS\*\)", px4(more=MOTORS, options="--actuators-topic actuator_motors")),
     ("hold no value throughout", px4(TORQUE, more=NEVER_ON, parameters=ONE_ROTOR)),
