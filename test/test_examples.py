@@ -52,6 +52,14 @@ def ros(tmp_path: Path) -> Iterator[None]:
     rclpy.shutdown()
 
 
+@pytest.fixture(autouse=True)
+def structures() -> Iterator[None]:
+    before = dict(STRUCTURES)
+    yield
+    STRUCTURES.clear()
+    STRUCTURES.update(before)
+
+
 class Flying:
     """Stand-in for a controller's node; collects its publications."""
 
@@ -139,7 +147,7 @@ def test_the_prediction_from_a_message_equals_that_of_the_client() -> None:
     np.testing.assert_allclose(found, model.predict(x, np.array(u), 1.0), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["own_estimator", "own_gate"])
+@pytest.mark.parametrize("name", ["own_estimator", "own_gate", "own_regressor"])
 def test_an_example_without_its_bag_prints_its_usage(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -154,9 +162,13 @@ def test_an_example_without_its_bag_prints_its_usage(
     [
         ("own_estimator", r"own: largest step of pdot/da (\S+) .*\nwithout: .* pdot/da (\S+) "),
         ("own_gate", r"own: .*'load': '(\d+)%'.*\nwithout: (?!.*load)"),
+        (
+            "own_regressor",
+            r"pdot/da\|da\| is \S+ \+- (\S+), a t-ratio of [\d.]+\nflight_dynamics: ",
+        ),
     ],
 )
-def test_an_own_estimator_and_an_own_gate_take_effect(
+def test_parts_of_the_author_take_effect(
     name: str, words: str, tmp_path: Path, capsys: Capture
 ) -> None:
     bag = excerpt(tmp_path / "bag", 14.0, "c172p")

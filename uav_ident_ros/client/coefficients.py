@@ -15,6 +15,7 @@ from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import (
     CONSTANT,
     INPUT_COLUMNS,
+    LAST_COLUMNS,
     PRODUCT_COLUMNS,
     RATE_COLUMNS,
     ROWS,
@@ -147,7 +148,7 @@ class Coefficients:
         kinds = [PRODUCT_COLUMNS, RATE_COLUMNS, INPUT_COLUMNS]
         if CONSTANT in self.structure.regressors:
             start = INPUT_COLUMNS.stop
-            kinds += [slice(start, start + 1), slice(start + 1, self.structure.size)]
+            kinds += [slice(start, start + 1), LAST_COLUMNS]
         return kinds
 
 

@@ -8,18 +8,24 @@ after a transport delay.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.linearisation import Condition, linearise
-from uav_ident_ros.identification.model import flight_derivative, integrate, rates_derivative
+from uav_ident_ros.identification.model import (
+    flight_derivative,
+    integrate,
+    rates_derivative,
+    with_own,
+)
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
     INPUTS,
     LAST_COLUMNS,
+    OWN_COLUMNS,
     ROWS,
     BoolArray,
     FloatArray,
@@ -81,14 +87,17 @@ class AttitudeModel:
             Specific forces ay, az, m/s^2. The augmented structure uses them; without them their
             coefficients and the constant, which belongs to them, are left out.
         """
-        x, u = self._state(x), np.asarray(u, dtype=np.float64)
-        if self.structure.has_flow:
-            f = self.structure.regressor(x[..., :3], u, x[..., 3:])
-        else:
-            f = self.structure.regressor(x, u, force)
-            if force is None:
-                f[..., CONSTANT_COLUMN:] = 0.0
+        f = self._regressors(self._state(x), np.asarray(u, dtype=np.float64), force)
         return np.asarray(f @ self.values[: len(ROWS)].T)
+
+    def _regressors(self, x: FloatArray, u: FloatArray, force: FloatArray | None) -> FloatArray:
+        """Return the regressors of a complete state, shape (..., n)."""
+        if self.structure.has_flow:
+            return self.structure.regressor(x[..., :3], u, x[..., 3:])
+        f = self.structure.regressor(x, u, force)
+        if force is None:
+            f[..., CONSTANT_COLUMN : LAST_COLUMNS.stop] = 0.0
+        return f
 
     def _state(self, x: FloatArray) -> FloatArray:
         """Return the state, completed by the flow angles of the message."""
@@ -127,8 +136,13 @@ class AttitudeModel:
             drive = [*np.moveaxis(rows, -1, 0), 1.0 / flow.airspeed, 0.0, 0.0, 0.0]
             derivative = flight_derivative(self.values)
         else:
-            drive = list(np.moveaxis(self.acceleration(0.0 * state, u, force), -1, 0))
+            f = self._regressors(0.0 * state, u, force)[..., : OWN_COLUMNS.start]
+            rows = f @ self.values[: len(ROWS), : OWN_COLUMNS.start].T
+            drive = list(np.moveaxis(rows, -1, 0))
             derivative = rates_derivative(self.values)
+        if self.structure.own:
+            drive += list(np.moveaxis(u, -1, 0))
+            derivative = with_own(derivative, self.values, self.structure)
         step = (drive, drive, drive, dt / steps)
         *_, parts = integrate(derivative, parts, [step] * steps)
         return np.stack(parts[: given.shape[-1]], axis=-1)
@@ -144,13 +158,16 @@ class AttitudeModel:
         x : (3,) or (5,) array
             As in `acceleration`.
         u : (4,) array
-            Inputs; they enter linearly and have no influence.
+            Inputs; only regressors of the author's own depend on them.
         """
         p, q, r, *angles = (float(value) for value in self._state(x))
-        condition = Condition(math.inf, (p, q, r))
+        condition = Condition(math.inf, (p, q, r), inputs=tuple(map(float, u)))
         if self.structure.has_flow:
-            flow = self._flow_state()
-            condition = Condition(flow.airspeed, (p, q, r), flow.roll, flow.pitch, *angles)
+            flow, (beta, alpha) = self._flow_state(), angles
+            condition = replace(
+                condition, airspeed=flow.airspeed, roll=flow.roll, pitch=flow.pitch,
+                beta=beta, alpha=alpha,
+            )  # fmt: skip
         return linearise(self.structure, self.values, condition)
 
     def invert(

@@ -16,11 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.scales import ROUNDING
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
+    INPUTS,
     LAST_COLUMNS,
+    OWN_COLUMNS,
     PRODUCT_COLUMNS,
     RATE_COLUMNS,
+    RATES,
     ROWS,
     FloatArray,
     Structure,
@@ -45,6 +49,7 @@ class Condition:
     # Sideslip and angle of attack, rad; zero where ay and az are zero
     beta: float = 0.0
     alpha: float = 0.0
+    inputs: tuple[float, ...] = (0.0,) * len(INPUTS)  # Only of the author's own regressors
 
 
 def level_flight(structure: Structure, values: FloatArray, airspeed: float) -> Condition:
@@ -78,13 +83,16 @@ def linearise(
         [[q, p, 0.0], [0.0, r, q], [r, 0.0, p], [2.0 * p, 0.0, 0.0], [0.0, 0.0, 2.0 * r]]
     )
     moments = values[: len(ROWS)]
+    by_rates, by_inputs = _own_slopes(structure, condition)
     rates = moments[:, RATE_COLUMNS] + moments[:, PRODUCT_COLUMNS] @ products
+    rates += moments[:, OWN_COLUMNS] @ by_rates
+    inputs = moments[:, INPUT_COLUMNS] + moments[:, OWN_COLUMNS] @ by_inputs
     if not structure.has_flow:
-        return rates, moments[:, INPUT_COLUMNS].copy()
+        return rates, inputs
     a, b = np.zeros((6, 6)), np.zeros((6, 4))
     a[:3, :3] = rates
     a[:3, 3:5] = moments[:, LAST_COLUMNS]
-    b[:3] = moments[:, INPUT_COLUMNS]
+    b[:3] = inputs
     for k, flow in enumerate(structure.flow):
         force, missing = values[flow.force] / condition.airspeed, values[flow.kinematics]
         a[3 + k, :3] = force[RATE_COLUMNS] + missing[RATE_COLUMNS]
@@ -103,6 +111,18 @@ def linearise(
     a[5, :3] = 1.0, slope * sine, slope * cosine
     a[5, 5] = slope * (q * cosine - r * sine)
     return a, b
+
+
+def _own_slopes(structure: Structure, condition: Condition) -> tuple[FloatArray, FloatArray]:
+    """Return derivatives of the author's own regressors by rates, (k, 3), and inputs, (k, 4)."""
+    ahead = ROUNDING * np.eye(len(RATES) + len(INPUTS))
+    point = np.array((*condition.rates, *condition.inputs))
+    x, u = np.split(np.stack((point + ahead, point - ahead)), [len(RATES)], axis=2)
+    if not structure.own:
+        return np.zeros((0, len(RATES))), np.zeros((0, len(INPUTS)))
+    after, before = structure.own_values(x, u)
+    by_rates, by_inputs = np.split((after - before).T / (2.0 * ROUNDING), [3], axis=1)
+    return by_rates, by_inputs
 
 
 def damping(structure: Structure, values: FloatArray, airspeed: float) -> FloatArray:

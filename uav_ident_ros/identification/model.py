@@ -35,7 +35,9 @@ from uav_ident_ros.identification.structure import (
     EXOGENOUS_COLUMNS,
     INPUT_COLUMNS,
     LAST_COLUMNS,
+    OWN_COLUMNS,
     RATE_COLUMNS,
+    ROWS,
     STATE_COLUMNS,
     FloatArray,
     Structure,
@@ -105,6 +107,34 @@ def rates_derivative(
         return [pdot + drive[0], qdot + drive[1], rdot + drive[2]]
 
     return derivative
+
+
+def with_own(derivative: Derivative, a: FloatArray, structure: Structure) -> Derivative:
+    """Return a right-hand side with the author's own regressors added.
+
+    The drive then ends with the inputs de, dr, da, dth.
+    """
+    if not structure.own:
+        return derivative
+    terms = [
+        (own.value, [row[OWN_COLUMNS.start + k] for row in _entries(a[: len(ROWS)])])
+        for k, own in enumerate(structure.own)
+    ]
+
+    def extended(
+        state: State, drive: Any, slope: State | None = None, ahead: Number = 0.0
+    ) -> State:
+        *first, de, dr, da, dth = drive
+        rates = state[:3]
+        if slope is not None:
+            rates = [s + ahead * k for s, k in zip(rates, slope[:3], strict=True)]
+        pdot, qdot, rdot, *others = derivative(state, first, slope, ahead)
+        for value, (for_p, for_q, for_r) in terms:
+            f = value(*rates, de, dr, da, dth)
+            pdot, qdot, rdot = pdot + for_p * f, qdot + for_q * f, rdot + for_r * f
+        return [pdot, qdot, rdot, *others]
+
+    return extended
 
 
 def _moments(a: FloatArray, leak: float) -> Callable[..., tuple[Number, Number, Number]]:
@@ -304,10 +334,13 @@ class IdentifiedModel:
             drive[:, :3] += pull[:, :3]
             drive[:, 5:7] += pull[:, 3:5]
             drive[:, 8:] += pull[:, 5:]
+        if self._structure.own:
+            drive = np.hstack((drive, u))
         # The coefficients are constant over some ticks.
         formed = a.tobytes(), leak
         if formed != self._formed:
-            self._formed, self._derivative = formed, self._form(a, leak)
+            self._formed = formed
+            self._derivative = with_own(self._form(a, leak), a, self._structure)
         cells, split = zip(drive.tolist(), plan.times, strict=True), plan.split
         steps = [(u, u, u, dt / split) for u, dt in cells for _ in range(split)]
         first = start.tolist()

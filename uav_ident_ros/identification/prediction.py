@@ -30,10 +30,12 @@ from uav_ident_ros.identification.model import (
     off_centre,
     rates_derivative,
     with_measured_force,
+    with_own,
 )
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import (
     EXOGENOUS_COLUMNS,
+    INPUTS,
     LAST_COLUMNS,
     ROWS,
     BoolArray,
@@ -409,6 +411,7 @@ def _predictions(
         rows, derivative, still = len(a), flight_derivative(a), np.zeros(len(node))
         known, more = known[:, :_FORCES], [1.0 / flow[5], still, still, still]
         state += list(flow[:5])
+    derivative = with_own(derivative, a, structure)
     terms = np.argwhere(known[:rows].any(axis=2)).tolist()
     held = free and structure.has_forces
 
@@ -418,7 +421,8 @@ def _predictions(
         for i, j in terms:
             value = grid.signals[j, start] if held and j >= _FORCES else signals[j, node]
             parts[i] += known[i, j] * value
-        return parts + more
+        inputs = list(signals[: len(INPUTS), node]) if structure.own else []
+        return parts + more + inputs
 
     driven = drive(grid.signals, node)
     for _ in range(int((last - node).max(initial=0))):

@@ -177,6 +177,7 @@ def weak_sigma(structure: Structure) -> FloatArray:
         **dict.fromkeys(SPECIFIC_FORCES, FORCE_SIGMA),
         **dict.fromkeys(FLOW_ANGLES, STATIC_SIGMA),
         CONSTANT: RATE_SIGMA,
+        **{own.label: own.sigma for own in structure.own},
     }
     moments = [by_label[label] for label in structure.regressors]
     sigma = np.tile(moments, (len(structure.rows), 1))

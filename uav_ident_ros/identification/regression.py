@@ -34,6 +34,7 @@ from uav_ident_ros.identification.structure import (
     INPUTS,
     LAST_COLUMNS,
     MAIN_COLUMNS,
+    OWN_COLUMNS,
     RATE_COLUMNS,
     ROWS,
     STATE_COLUMNS,
@@ -302,7 +303,12 @@ class StateVariableFilter:
         # surfaces), f, and the part of z that differs.
         rows, size = 3 + flows, structure.size + flows
         self._f = slice(rows + len(self._surfaces), rows + len(self._surfaces) + size)
-        self._z = slice(self._f.stop, self._f.stop + INPUT_COLUMNS.stop + 2 * flows)
+        # Of z: rates to inputs, the flow angles and their turning, and the author's regressors
+        angles, turned, more = np.cumsum([INPUT_COLUMNS.stop, flows, flows]).tolist()
+        self._angles, self._turned, self._own = (
+            slice(angles, turned), slice(turned, more), slice(more, more + len(structure.own))
+        )  # fmt: skip
+        self._z = slice(self._f.stop, self._f.stop + self._own.stop)
         self._filter = BlockFilter(low_pass(cutoff, h), self._z.stop)
         # Of y, f and z side by side: indices of the channels, and then of their derivatives.
         low, slope = np.arange(2 * self._z.stop).reshape(2, -1)
@@ -310,9 +316,10 @@ class StateVariableFilter:
         f = [*low[self._f], *slope[turning], *slope[rows : self._f.start]]
         z, own = f.copy(), low[self._z]
         z[: INPUT_COLUMNS.stop] = own[: INPUT_COLUMNS.stop]
+        z[OWN_COLUMNS.start : structure.size] = own[self._own]
         if flows:
-            z[LAST_COLUMNS] = own[INPUT_COLUMNS.stop : INPUT_COLUMNS.stop + flows]
-            z[structure.size : size] = own[INPUT_COLUMNS.stop + flows :]
+            z[LAST_COLUMNS] = own[self._angles]
+            z[structure.size : size] = own[self._turned]
             z[size : size + len(turning)] = slope[self._z][self._rates]
         injected = z.copy()
         injected[size + len(turning) :] = slope[self._z][INPUT_COLUMNS][self._surfaces]
@@ -373,16 +380,17 @@ class StateVariableFilter:
         z[:, STATE_COLUMNS] = both[points:, STATE_COLUMNS]
         if block.flow is not None:
             assert coefficients is not None
-            made, v, angles = coefficients[3:5], block.airspeed, INPUT_COLUMNS.stop
+            made, v = coefficients[3:5], block.airspeed
             force = np.concatenate((block.force, model_states[:, :5] @ made.take(_FLOW_STATE, 1).T))
             turning = (force + GRAVITY * states[:, 6:]) / v
             turning += (states[:, :1] * states[:, 4:2:-1] - states[:, 2:0:-1]) * _TURNING
             lines[:, 3:5] = block.force
             f[:, n:] = turning[:points]
-            z[:, angles : angles + 2], z[:, angles + 2 :] = force[points:], turning[points:]
+            z[:, self._angles], z[:, self._turned] = force[points:], turning[points:]
             held[:, 5 : self._f.start] = block.u[:, self._surfaces]
             by_inputs = driven_by @ made[:, INPUT_COLUMNS].T
-            held[:, -4:-2], held[:, -2:] = by_inputs, by_inputs / v
+            held_z = held[:, self._z]
+            held_z[:, self._angles], held_z[:, self._turned] = by_inputs, by_inputs / v
             if block.early is not None:
                 # A surface acts on the accelerometer at once, also by the lever arm.
                 at_once = made[:, INPUT_COLUMNS]
@@ -394,6 +402,13 @@ class StateVariableFilter:
                 held[:, self._f][:, n:] -= early / v
         held[:, self._f][:, INPUT_COLUMNS] = block.u
         held[:, self._z][:, INPUT_COLUMNS] = driven_by
+        if self._structure.own:
+            f[:, OWN_COLUMNS.start : n] = 0.0
+            for at, x, u in (
+                (held[:, self._f][:, OWN_COLUMNS.start : n], block.x, block.u),
+                (held[:, self._z][:, self._own], model_states[:, :3], driven_by),
+            ):
+                at[:] = self._structure.own_values(0.5 * (x[1:] + x[:-1]), u)
         return lines, held
 
     def _factor(self, scale: FloatArray) -> FloatArray:
@@ -403,9 +418,10 @@ class StateVariableFilter:
         kept = CONSTANT_COLUMN + 1 if self._structure.has_flow else len(scale)
         f[:kept] = scale[:kept]
         z[: INPUT_COLUMNS.stop] = scale[: INPUT_COLUMNS.stop]
+        f[OWN_COLUMNS.start : len(scale)] = z[self._own] = scale[OWN_COLUMNS]
         if self._structure.has_flow:
             factor[5 : self._f.start] = scale[INPUT_COLUMNS][self._surfaces]
-            f[-2:] = z[-2:] = scale[-1]
+            f[len(scale) :] = z[self._turned] = scale[LAST_COLUMNS][0]
         return factor
 
     def _correct_lever(self, y: FloatArray, f: FloatArray, low: FloatArray, block: Block) -> None:

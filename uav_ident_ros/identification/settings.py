@@ -39,7 +39,7 @@ class Setting:
     # Inclusive range of a number or of every entry of an array
     low: float = -math.inf
     high: float = math.inf
-    choices: tuple[str, ...] = ()  # Allowed words; empty if any is
+    choices: Collection[str] = ()  # Allowed words; empty if any is
     read_only: bool = True  # Whether it cannot change while the identifier runs
     # Whether a change restarts the filters and increases sigma as at a warm start, because the
     # signals were conditioned differently before
@@ -137,13 +137,13 @@ def _setting(
     within: tuple[float, float] = (-math.inf, math.inf),
     *,
     text: str,
-    choices: Sequence[str] = (),
+    choices: Collection[str] = (),
     read_only: bool = True,
     restarts: bool = False,
 ) -> Any:
     """Declare one setting as a dataclass field; the field supplies name and type."""
     fixed = read_only and not restarts
-    own = Setting("", "", default, unit, text, *within, tuple(choices), fixed, restarts)
+    own = Setting("", "", default, unit, text, *within, choices, fixed, restarts)
     return dataclasses.field(default=default, metadata={"setting": own})
 
 
@@ -468,7 +468,7 @@ class Settings:
     time_jump: float = _setting(1.0, "s", (0.1, 60.0), text=
         "Distance from the stream beyond which a stamp is an outlier; five outliers that agree "
         "are a new time base. Change it only for recordings with intended gaps.")
-    structure: str = _setting("flight_dynamics", choices=tuple(STRUCTURES), text=
+    structure: str = _setting("flight_dynamics", choices=STRUCTURES, text=
         "Model structure: 'baseline' (Section 3 of the paper, 18 coefficients), "
         "'throttle_coupled' (eq. 15, 20), 'augmented' (with a constant and the measured ay and "
         "az, 26) or 'flight_dynamics' (with angle of attack and sideslip as states, 35). Leave it"

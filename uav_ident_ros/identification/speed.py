@@ -18,6 +18,7 @@ from uav_ident_ros.identification.settings import AirspeedSettings, Settings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     LAST_COLUMNS,
+    OWN_COLUMNS,
     RATE_COLUMNS,
     ROWS,
     STRUCTURES,
@@ -62,6 +63,7 @@ class SpeedScaling:
         self._power[:, RATE_COLUMNS] = 1.0
         self._power[:, INPUT_COLUMNS] = 2.0
         self._power[: len(ROWS)][structure.constants[: len(ROWS)]] = 2.0
+        self._power[: len(ROWS), OWN_COLUMNS] = [own.power for own in structure.own]
         if structure.has_flow:
             self._power[:, LAST_COLUMNS] = 2.0
             # so that its product with the slope of ay grows with V, as the other columns of p

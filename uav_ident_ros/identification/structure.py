@@ -11,9 +11,10 @@ The order of rows and columns is defined here alone; other modules use the label
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +68,11 @@ CONSTANT_COLUMN = len(PAPER_REGRESSORS)
 LAST_COLUMNS = slice(CONSTANT_COLUMN + 1, CONSTANT_COLUMN + 3)
 """Specific forces ay, az, or the flow angles beta, alpha."""
 
-EXOGENOUS_COLUMNS = slice(INPUT_COLUMNS.start, None)
+EXOGENOUS_COLUMNS = slice(INPUT_COLUMNS.start, LAST_COLUMNS.stop)
 """Inputs and, in the augmented structure, the constant and the specific forces."""
+
+OWN_COLUMNS = slice(LAST_COLUMNS.stop, None)
+"""Regressors of `Structure.own`, the author's."""
 
 FLOW_FORCES = tuple(zip(FLOW_ANGLES, FORCE_ROWS, KINEMATIC_ROWS, strict=True))
 """Each flow angle, the force that it causes, and the row of its kinematics."""
@@ -99,6 +103,16 @@ class FlowRows(NamedTuple):
     missing: tuple[int, ...]  # Columns of these corrections
 
 
+class Regressor(NamedTuple):
+    """A regressor of the author's own: a function of rates and inputs."""
+
+    label: str  # In the names of its coefficients
+    # From p, q, r, rad/s, and de, dr, da, dth, floats or arrays, to its value
+    value: Callable[..., Any]
+    sigma: float  # Prior standard deviation of its coefficients, rad/s^2 per unit
+    power: float = 2.0  # Power of the airspeed with which its coefficients grow
+
+
 @dataclass(frozen=True)
 class Structure:
     """Regressors of a model and the sparsity of its coefficient matrix.
@@ -111,11 +125,48 @@ class Structure:
         Labels of the n entries of f, in order.
     rows : tuple of tuple of str
         For each of `row_labels` the regressors with a free coefficient.
+    own : tuple of Regressor
+        The last of the regressors, which are the author's own.
     """
 
     name: str
     regressors: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    own: tuple[Regressor, ...] = ()
+
+    def extended(self, name: str, rows: Mapping[str, Sequence[Regressor]]) -> Structure:
+        """Return this structure with more regressors in its moment rows.
+
+        Parameters
+        ----------
+        name : str
+            Name of the new structure; as a key of `STRUCTURES` it is a choice of ``structure``.
+        rows : mapping
+            For some of the rows pdot, qdot, rdot the additional regressors.
+
+        Raises
+        ------
+        ValueError
+            If this structure is of the paper, a row is none of the moments, or a label is taken.
+        """
+        own = tuple(dict.fromkeys(regressor for more in rows.values() for regressor in more))
+        labels = tuple(regressor.label for regressor in own)
+        if CONSTANT not in self.regressors or self.own:
+            raise ValueError(
+                f"structure '{self.name}' has no place for more regressors: take "
+                "'augmented' or 'flight_dynamics'"
+            )
+        if unknown := set(rows) - set(ROWS):
+            raise ValueError(f"'{min(unknown)}' is no moment row: {', '.join(ROWS)} are")
+        if len({*self.regressors, *labels}) < len(self.regressors) + len(labels):
+            raise ValueError(f"a label of {', '.join(labels)} is taken in '{self.name}'")
+        with_more = tuple(
+            (*row, *(regressor.label for regressor in rows.get(label, ())))
+            for label, row in zip(self.row_labels, self.rows, strict=True)
+        )
+        return replace(
+            self, name=name, regressors=self.regressors + labels, rows=with_more, own=own
+        )
 
     @cached_property
     def size(self) -> int:
@@ -225,14 +276,22 @@ class Structure:
         if self.size > CONSTANT_COLUMN:
             f[..., CONSTANT_COLUMN] = 1.0
             f[..., LAST_COLUMNS] = 0.0 if last is None else last
+        if self.own:
+            f[..., OWN_COLUMNS] = self.own_values(x, u)
         return f
+
+    def own_values(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Evaluate the author's own regressors, shape (..., number); parameters of `regressor`."""
+        signals = (*np.moveaxis(x, -1, 0), *np.moveaxis(u, -1, 0))
+        values = [np.broadcast_to(own.value(*signals), x.shape[:-1]) for own in self.own]
+        return np.stack(values, axis=-1)
 
 
 def _with(*parts: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
     return tuple(sum((part[i] for part in parts), ()) for i in range(len(ROWS)))
 
 
-STRUCTURES = {
+STRUCTURES: dict[str, Structure] = {
     s.name: s
     for s in (
         # Section 3 of Salman et al. 2006: 18 coefficients.
@@ -255,4 +314,4 @@ STRUCTURES = {
         ),
     )
 }
-"""The structures by name."""
+"""The structures by name: the choices of the setting ``structure``."""

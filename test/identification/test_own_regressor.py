@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Regressors of the author's own, in identification, prediction, scaling and linearisation."""
+
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+import pytest
+from flying import light_errors, light_measured, messages, run, settings
+from hypothesis import given
+from hypothesis import strategies as st
+
+from uav_ident_ros.client import AttitudeModel
+from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.flow import FlowState
+from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.prediction import (
+    Flown,
+    InputSignal,
+    Published,
+    score_windows,
+    window_errors,
+)
+from uav_ident_ros.identification.settings import Settings, SettingsError
+from uav_ident_ros.identification.speed import SpeedScaling
+from uav_ident_ros.identification.structure import (
+    STRUCTURES,
+    FloatArray,
+    Regressor,
+    Structure,
+)
+from uav_ident_ros.identification.waveforms import multisines
+
+SOFT = Regressor("da|da|", lambda p, q, r, de, dr, da, dth: da * abs(da), 900.0)
+DRAG = Regressor("q|q|", lambda p, q, r, de, dr, da, dth: q * abs(q), 30.0, power=0.0)
+OWN = STRUCTURES["augmented"].extended("own", {"pdot": [SOFT], "qdot": [DRAG]})
+FLIGHT = STRUCTURES["flight_dynamics"].extended("own_flight", {"qdot": [DRAG]})
+TRUE = {
+    "pdot/p": -6.0, "pdot/da": 40.0, "pdot/da|da|": -120.0, "rdot/r": -1.5, "rdot/dr": -8.0,
+    "qdot/q": -3.0, "qdot/de": -25.0, "qdot/q|q|": -6.0,
+}  # fmt: skip
+DT, SECONDS = 0.01, 40.0
+
+
+@pytest.fixture(autouse=True)
+def named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(STRUCTURES, OWN.name, OWN)
+    monkeypatch.setitem(STRUCTURES, FLIGHT.name, FLIGHT)
+
+
+def matrix(structure: Structure) -> FloatArray:
+    a = np.zeros(structure.mask.shape)
+    for name, value in TRUE.items():
+        a[structure.index(name)] = value
+    return a
+
+
+@cache
+def flight() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times, s, inputs held from each on, and noise-free rates, of the true equations."""
+    t = 10.0 + DT * np.arange(round(SECONDS / DT))
+    u = multisines(t, 4, 20.0, (0.1, 2.0)) * (0.12, 0.15, 0.15, 0.0)
+
+    def slope(x: FloatArray, u: FloatArray) -> FloatArray:
+        (p, q, r), (de, dr, da, _) = x, u
+        return np.array(
+            [
+                -6.0 * p + 40.0 * da - 120.0 * da * abs(da),
+                -3.0 * q - 25.0 * de - 6.0 * q * abs(q),
+                -1.5 * r - 8.0 * dr,
+            ]
+        )
+
+    x = [np.zeros(3)]
+    for now in u[:-1]:
+        k1 = slope(x[-1], now)
+        k2 = slope(x[-1] + 0.5 * DT * k1, now)
+        k3 = slope(x[-1] + 0.5 * DT * k2, now)
+        x.append(x[-1] + DT / 6.0 * (k1 + 2.0 * (k2 + k3) + slope(x[-1] + DT * k3, now)))
+    return t, u, np.array(x)
+
+
+def identified(structure: str) -> Iterator[Estimate]:
+    values = {
+        "structure": structure, "imu.convention": "frd", "actuators.channels": [0, 1, 2, 3],
+        **{f"actuators.mixing.{name}": [float(name == own) for own in ("de", "dr", "da", "dth")]
+           for name in ("de", "dr", "da", "dth")},
+    }  # fmt: skip
+    identifier, noise = OnlineIdentifier(Settings.from_values(values)), np.random.default_rng(1)
+    for now, u, x in zip(*flight(), strict=True):
+        t_ns = round(now * 1e9)
+        identifier.add_actuators(t_ns, u.tolist())
+        identifier.add_rates(t_ns, (x + 0.005 * noise.standard_normal(3)).tolist())
+        yield from identifier.advance()
+
+
+@cache
+def flown(structure: str) -> tuple[Estimate, ...]:
+    return tuple(identified(structure))
+
+
+def one_second_fit(structure: Structure) -> FloatArray:
+    t, u, x = flight()
+    t_ns = np.round(t * 1e9).astype(np.int64)
+    measured = Flown(t_ns, x, InputSignal(t_ns, u), np.zeros((len(t), 2)), np.zeros(3))
+    errors = window_errors(measured, Published.of(flown(structure.name), structure))
+    return score_windows(errors, int(t_ns[0]), int(t_ns[-1]))["last_40_percent"].model
+
+
+def test_own_regressors_are_identified_with_their_sigma() -> None:
+    last = flown("own")[-1]
+    for name, true in TRUE.items():
+        value, sigma = (a[OWN.index(name)] for a in (last.coefficients, last.sigma))
+        assert abs(value - true) < min(3.0 * sigma, 0.12 * abs(true)), name
+    assert last.usable
+
+
+def test_the_free_prediction_includes_own_regressors() -> None:
+    with_own, without = one_second_fit(OWN), one_second_fit(STRUCTURES["augmented"])
+    assert (with_own > 95.0).all()
+    assert (with_own - without)[:2].min() > 2.0
+
+
+def test_own_regressors_leave_the_flow_angles_as_they_were() -> None:
+    """On an aircraft without them they are zero, within three sigma."""
+    measured = light_measured(40.0)
+    identifier = OnlineIdentifier(settings(measured, structure=FLIGHT.name))
+    last = run(identifier, messages(measured))[-1]
+    plain = OnlineIdentifier(settings(measured))
+    before = run(plain, messages(measured))[-1]
+    where = FLIGHT.index("qdot/q|q|")
+    assert abs(last.coefficients[where]) < 3.0 * last.sigma[where] < 3.0 * DRAG.sigma
+    moved = np.abs(last.coefficients[:, :-1] - before.coefficients)[[0, 2, 3, 4]]
+    assert (moved <= 0.1 * before.sigma[[0, 2, 3, 4]]).all()
+    errors, sigmas = light_errors(last, "pdot/da", "qdot/de", "rdot/dr", "qdot/q", "qdot/alpha")
+    assert errors.max() < 0.15
+    assert sigmas.max() < 3.0
+
+
+@given(seed=st.integers(0, 1000), structure=st.sampled_from((OWN, FLIGHT)))
+def test_the_client_predicts_and_linearises_own_regressors(seed: int, structure: Structure) -> None:
+    rng = np.random.default_rng(seed)
+    a = structure.mask * rng.normal(0.0, 1.0, structure.mask.shape)
+    flow = FlowState(0.03, 0.05, 0.0, 0.0, 0.2, 0.1, 20.0) if structure.has_flow else None
+    model = AttitudeModel(structure, a, structure.mask, flow)
+    x, u, dt = rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.3, 4), 1e-6
+    ahead = (model.predict(x, u, dt) - x) / dt
+    np.testing.assert_allclose(ahead, model.acceleration(x, u), atol=1e-4)
+    by_x, by_u = model.linearize(x, u)
+    for k, step in enumerate(1e-6 * np.eye(3)):
+        slope = (model.acceleration(x + step, u) - model.acceleration(x - step, u)) / 2e-6
+        np.testing.assert_allclose(by_x[:3, k], slope, atol=1e-5)
+    for k, step in enumerate(1e-6 * np.eye(4)):
+        slope = (model.acceleration(x, u + step) - model.acceleration(x, u - step)) / 2e-6
+        np.testing.assert_allclose(by_u[:3, k], slope, atol=1e-5)
+
+
+def test_own_regressors_grow_with_their_power_of_the_airspeed() -> None:
+    chosen = Settings.from_values({"airspeed.type": "std_msgs/msg/Float64", "structure": OWN.name})
+    scaling = SpeedScaling(chosen.airspeed, OWN)
+    scaling.airspeed.append(1, (2.0 * chosen.airspeed.reference,))
+    scaling.airspeed.merge(1)
+    scaling.update(1)
+    assert scaling.scale[OWN.index("pdot/da|da|")] == 4.0
+    assert scaling.scale[OWN.index("qdot/q|q|")] == 1.0
+
+
+def test_a_structure_is_a_choice_once_it_has_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Settings.from_values({"structure": "own"}).structure == "own"
+    monkeypatch.delitem(STRUCTURES, "own")
+    with pytest.raises(SettingsError, match="'structure' is 'own': allowed are baseline"):
+        Settings.from_values({"structure": "own"})
+
+
+@pytest.mark.parametrize(
+    ("base", "rows", "words"),
+    [
+        ("baseline", {"pdot": [SOFT]}, "'baseline' has no place for more regressors: take"),
+        ("own", {"pdot": [SOFT]}, "'own' has no place for more"),
+        ("augmented", {"ay": [SOFT]}, "'ay' is no moment row: pdot, qdot, rdot are"),
+        ("augmented", {"pdot": [SOFT._replace(label="da")]}, "label of da is taken in 'augmented'"),
+    ],
+)
+def test_an_extension_without_meaning_is_refused(
+    base: str, rows: dict[str, list[Regressor]], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        STRUCTURES[base].extended("new", rows)
