@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation agrees with the code: tables, links, commands, topics, examples."""
 
+import doctest
+import importlib
 import json
 import math
 import os
@@ -88,6 +90,27 @@ def command_lines(text: str) -> Iterator[str]:
         for line in block.replace("\\\n", " ").splitlines():
             if line.strip():
                 yield line.strip()
+
+
+# --- docstrings ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "client.excitation",
+        "client.model",
+        "client.source",
+        "identification.estimators",
+        "identification.identifier",
+        "identification.prediction",
+    ],
+)
+def test_the_examples_of_the_docstrings_run(module: str) -> None:
+    """Those with a bag to read or write are skipped (`doctest: +SKIP`)."""
+    failed, attempted = doctest.testmod(importlib.import_module(f"uav_ident_ros.{module}"))
+    assert attempted
+    assert not failed
 
 
 # --- generated tables ------------------------------------------------------------------------

@@ -58,7 +58,30 @@ class Inversion:
 
 @dataclass(frozen=True, eq=False)
 class AttitudeModel:
-    """Identified attitude dynamics."""
+    """Identified attitude dynamics.
+
+    See Also
+    --------
+    uav_ident_ros.client.CoefficientSource : Provides it while the coefficients may be used.
+
+    Examples
+    --------
+    >>> from uav_ident_ros.identification.structure import STRUCTURES
+    >>> structure = STRUCTURES["baseline"]
+    >>> values = np.zeros(structure.mask.shape)
+    >>> known = {"pdot/p": -6.0, "pdot/da": 40.0, "qdot/de": -25.0, "rdot/dr": -8.0}
+    >>> for name, value in known.items():
+    ...     values[structure.index(name)] = value
+    >>> model = AttitudeModel(structure, values, structure.mask)
+    >>> rates = np.array([0.5, 0.0, 0.0])  # rad/s
+    >>> model.acceleration(rates, np.zeros(4))
+    array([-3.,  0.,  0.])
+    >>> answer = model.invert(np.array([1.0, 0.5, 0.0]), rates)
+    >>> answer.u.round(3).tolist()  # de, dr, da, dth
+    [-0.02, 0.0, 0.1, 0.0]
+    >>> model.predict(rates, answer.u, 0.1).round(2).tolist()
+    [0.58, 0.05, 0.0]
+    """
 
     structure: Structure  # Structure of the model, with the names of rows and columns
     values: FloatArray  # (R, n) A, SI units; 0 where a coefficient is left out

@@ -80,6 +80,22 @@ class CoefficientSource:
     ------
     ValueError
         If the fallback is `Fallback.NOMINAL` and there is no nominal set.
+
+    See Also
+    --------
+    uav_ident_ros.client.subscribe : Adds the messages of a topic.
+    uav_ident_ros.client.AttitudeModel : The model that it provides.
+
+    Examples
+    --------
+    >>> from uav_ident_ros.identification.structure import STRUCTURES
+    >>> source, structure = CoefficientSource(Fallback.REFUSE), STRUCTURES["baseline"]
+    >>> values = np.where(structure.mask, 1.0, 0.0)
+    >>> source.add(Coefficients(structure, values, 0.1 * values, t_ns=1_000_000_000))
+    >>> source.model(1_100_000_000).source
+    'identified'
+    >>> source.refusal(3_000_000_000)
+    'the coefficients are more than 0.5 s old'
     """
 
     def __init__(

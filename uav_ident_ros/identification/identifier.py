@@ -128,6 +128,37 @@ class OnlineIdentifier:
     ------
     SettingsError
         If the settings contradict each other or `initial`.
+
+    See Also
+    --------
+    uav_ident_ros.offline.run.run_over : The same over a bag.
+    uav_ident_ros.client.CoefficientSource : The receiver of what is published.
+
+    References
+    ----------
+    S. A. Salman, A. G. Sreenatha, J. Y. Choi, "Attitude dynamics identification of unmanned
+    aircraft vehicle", International Journal of Control, Automation and Systems, 2006: the model and
+    the law of `gradient`. docs/algorithm.md has all equations, in the order of the code.
+
+    Examples
+    --------
+    An aircraft with a roll damping of -6 1/s and an aileron of 40 1/s^2 per rad:
+
+    >>> values = {"structure": "throttle_coupled", "imu.convention": "frd"}
+    >>> identifier = OnlineIdentifier(Settings.from_values(values))
+    >>> p, keep = 0.0, math.exp(-6.0 * 0.01)
+    >>> for k in range(1, 4001):  # 40 s at 100 Hz; stamps in ns
+    ...     aileron = 0.05 * math.copysign(1.0, math.sin(0.02 * k))
+    ...     identifier.add_actuators(k * 10_000_000, [0.0, 0.0, aileron, 0.0])
+    ...     identifier.add_rates(k * 10_000_000, [p, 0.0, 0.0])
+    ...     p = keep * p + (1.0 - keep) * 40.0 / 6.0 * aileron
+    >>> estimate = identifier.update(k * 10_000_000)
+    >>> for name in ("pdot/p", "pdot/da"):
+    ...     print(name, round(estimate.coefficients[identifier.structure.index(name)], 1))
+    pdot/p -6.0
+    pdot/da 40.0
+    >>> estimate.usable_rows  # Elevator and rudder have not moved
+    (True, False, False)
     """
 
     def __init__(
