@@ -29,11 +29,9 @@ from uav_ident_ros.identification.prior import Start, resumed, start_from, witho
 from uav_ident_ros.identification.regression import (
     BackwardDifference,
     Regression,
-    RowSamples,
     StateVariableFilter,
     layout,
 )
-from uav_ident_ros.identification.residuals import Autoregression
 from uav_ident_ros.identification.samples import (
     ACTUATORS,
     AIRSPEED,
@@ -56,7 +54,12 @@ from uav_ident_ros.identification.scales import (
 )
 from uav_ident_ros.identification.settings import Settings, SettingsError, declarations
 from uav_ident_ros.identification.speed import SpeedScaling
-from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import (
+    MAIN_DERIVATIVES,
+    ROWS,
+    STRUCTURES,
+    FloatArray,
+)
 from uav_ident_ros.identification.supervision import JUDGED_FROM, RunningFit, State, Supervisor
 
 STRETCH_TIME = 4.0 * SAMPLE_TIME
@@ -278,7 +281,6 @@ class OnlineIdentifier:
             }
         )
         self.intake.fault = ""
-        self._noise = Autoregression(self._layout.rows)
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = self.idle = 0.0
         self.restart()
@@ -321,6 +323,11 @@ class OnlineIdentifier:
     def delay_estimate(self) -> DelayEstimate:
         """Estimate that the delay in use follows; without data for the configured delay."""
         return self.delays.estimate if self.settings.actuators.estimate_delay else NO_ESTIMATE
+
+    @property
+    def _flown(self) -> FloatArray:
+        """Coefficients at the airspeed flown, (R, n)."""
+        return self.estimator.coefficients * self._speed.scale
 
     def _adopt_delay(self, block: Block) -> None:
         """Adopt the delay and lag estimated with a block, if they differ from those in use.
@@ -497,7 +504,7 @@ class OnlineIdentifier:
             leak = self.settings.model.leak_time
             if self._learned_time < START_TIME:
                 length, leak = 0.0, min(leak, START_LEAK_TIME)
-            now = self.estimator.coefficients * speed.scale
+            now = self._flown
             if self._flow is not None:
                 block = self._flow.follow(block, now, speed.newest)
             states, injected = self._parallel.follow(block, now, leak)
@@ -514,8 +521,7 @@ class OnlineIdentifier:
         self._news = True
         if stretch.readable:
             saved = None if self._saved is None else self._saved * self._speed.scale
-            now = self.estimator.coefficients * self._speed.scale
-            self.running_fit.add(stretch.block, now, saved)
+            self.running_fit.add(stretch.block, self._flown, saved)
         else:
             self.running_fit.restart()
 
@@ -529,7 +535,7 @@ class OnlineIdentifier:
             block,
             stretch.states,
             self._speed.scale[0] if self._speed.enabled else None,
-            self.estimator.coefficients * self._speed.scale,
+            self._flown,
             block.excitation if stretch.injected else None,
         )
 
@@ -540,18 +546,14 @@ class OnlineIdentifier:
         if not self._learned_time:  # the information was discarded
             self._fresh = None
         self._learned_time += samples.time
-        residual = samples.residual(estimator.linear)
-        rows = RowSamples.of(samples, residual, self._layout)
-        white = RowSamples(
-            self._noise.whiten(rows.signals, rows.dt, restarted=samples.restarted), rows.dt
-        )
-        weight = supervisor.weigh(residual[:, :3], samples.time, estimator.clear)
+        rows, white = estimator.conditioned(samples)
+        weight = supervisor.weigh(rows.residual[: len(ROWS)].T, samples.time, estimator.clear)
         inputs = white.f[MAIN_DERIVATIVES[0], :, self._layout.main]
         effect = estimator.linear[MAIN_DERIVATIVES][:, None] * inputs
         supervisor.confirmed.add(
             white,
             effect,
-            self._noise.variance,
+            estimator.noise.variance,
             self.settings.supervision.max_age,
             estimator.may_answer,
             restarted=samples.restarted,
@@ -588,8 +590,7 @@ class OnlineIdentifier:
         # A wrong setting makes derivatives unknown, for the fresh estimator as well.
         if identified and not any(self.setup_doubts):
             # Results from the time before belong to another state of the aircraft.
-            self.estimator, self._noise = fresh.estimator, fresh.noise
-            self._learned_time = fresh.time
+            self.estimator, self._learned_time = fresh.estimator, fresh.time
             self.delays = DelayBank(self.settings.actuators.longest_delay, self.lag)
             self.running_fit.forget()
             self.supervisor.reset()
@@ -675,7 +676,7 @@ class OnlineIdentifier:
             )
             self._sigma = self._setup_errors.widened(estimator.sigma)
         if self._news or speed.enabled:
-            self._shown = estimator.coefficients * speed.scale, self._sigma * speed.scale
+            self._shown = self._flown, self._sigma * speed.scale
         if self._news:
             if supervision.plausibility:
                 self.plausibility.judge(*self._shown)

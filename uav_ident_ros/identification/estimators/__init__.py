@@ -42,16 +42,14 @@ def make_estimator(settings: Settings, start: Start) -> Estimator:
     --------
     >>> import numpy as np
     >>> from uav_ident_ros.identification.prior import start_from
-    >>> from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+    >>> from uav_ident_ros.identification.regression import Regression
     >>> from uav_ident_ros.identification.structure import STRUCTURES
     >>> settings = Settings.from_values({"structure": "baseline", "estimator": "least_squares"})
     >>> estimator = make_estimator(settings, start_from(settings))
     >>> f = np.random.default_rng(0).standard_normal((40, 12))  # 2 s of samples of 50 ms
     >>> truth = np.where(STRUCTURES["baseline"].mask, -2.0, 0.0)
     >>> samples = Regression.of(y=f @ truth.T, f=f, z=f, dt=0.05)
-    >>> residual = samples.residual(estimator.linear)
-    >>> rows = RowSamples.of(samples, residual, layout(STRUCTURES["baseline"]))
-    >>> estimator.update(samples, rows, white=rows, weight=np.ones(3))
+    >>> estimator.update(samples, *estimator.conditioned(samples), weight=np.ones(3))
     >>> bool(np.abs(estimator.coefficients - truth).max() < 0.05)  # The prior still counts
     True
     """

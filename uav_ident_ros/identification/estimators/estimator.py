@@ -42,6 +42,8 @@ class Estimator:
         Initial coefficients, their standard deviations, and flags of the free ones.
     information : Information
         Information of the flight; excitation and uncertainty follow from it.
+    noise : Autoregression
+        Noise model of the residuals of each row.
     coefficients : (R, n) array
         A_m, SI.
     sigma : (R, n) array
@@ -80,6 +82,7 @@ class Estimator:
         self.information = Information(
             structure, start, correlation_time, forgetting_time, instrumental
         )
+        self.noise = Autoregression(self.information.layout.rows)
         self.coefficients: FloatArray = start.values.copy()
         self.sigma: FloatArray = start.sigma.copy()
         self.linear: FloatArray = self.coefficients
@@ -99,6 +102,12 @@ class Estimator:
         """Replace initial coefficients and prior; what was learned stays."""
         self.start = start
 
+    def conditioned(self, samples: Regression) -> tuple[RowSamples, RowSamples]:
+        """Return samples row by row, with the residuals of the present estimate, and whitened."""
+        rows = RowSamples.of(samples, samples.residual(self.linear), self.information.layout)
+        white = self.noise.whiten(rows.signals, rows.dt, restarted=samples.restarted)
+        return rows, RowSamples(white, rows.dt)
+
     def update(
         self, samples: Regression, rows: RowSamples, white: RowSamples, weight: FloatArray
     ) -> None:
@@ -108,11 +117,8 @@ class Estimator:
         ----------
         samples : Regression
             m samples.
-        rows : RowSamples
-            The same samples, with the regressors of each row, and the residuals of the present
-            coefficients.
-        white : RowSamples
-            The same, whitened.
+        rows, white : RowSamples
+            The same, as `conditioned` returns them.
         weight : (3,) array
             Weight of the samples in each moment row, 0 ... 1.
         """
@@ -141,15 +147,12 @@ class SecondEstimator(Generic[E]):
 
     Attributes
     ----------
-    noise : Autoregression
-        Noise model of the samples.
     time : float
         Time of learning, s.
     """
 
     def __init__(self, estimator: E) -> None:
-        self._layout = estimator.information.layout
-        self.estimator, self.noise, self.time = estimator, Autoregression(self._layout.rows), 0.0
+        self.estimator, self.time = estimator, 0.0
         self._gathered: list[tuple[Regression, FloatArray]] = []
 
     def add(self, samples: Regression, weight: FloatArray) -> bool:
@@ -168,9 +171,6 @@ class SecondEstimator(Generic[E]):
         parts, weights = zip(*self._gathered, strict=True)
         self._gathered = []
         samples = Regression.join(parts)
-        rows = RowSamples.of(samples, samples.residual(self.estimator.linear), self._layout)
-        white = RowSamples(
-            self.noise.whiten(rows.signals, rows.dt, restarted=samples.restarted), rows.dt
-        )
+        rows, white = self.estimator.conditioned(samples)
         self.estimator.update(samples, rows, white, np.add.reduce(weights) / samples.time)
         self.time += samples.time
