@@ -63,7 +63,7 @@ class Sums:
 
     def __init__(
         self,
-        table: FloatArray,  # (parts, rows, k (1 + 7 k) + 2)
+        table: FloatArray,  # (parts, rows, k (1 + 7 k) + 3)
         k: int,  # Coefficients of a row
     ) -> None:
         self.table, self.k = table, k
@@ -73,19 +73,20 @@ class Sums:
         self.products = table[..., :first].reshape(*shape, k, 1 + 2 * k)
         self.zy, self.zf = self.products[..., :1], self.products[..., 1 : 1 + k]
         self.zz = self.products[..., 1 + k :]
-        squares = table[..., first:-2].reshape(*shape, 5, k, k)
+        squares = table[..., first:-3].reshape(*shape, 5, k, k)
         # sum q z z^T, sum R^2 z z^T and that of the significant R^2, times dt: see `Feedback`
         self.answers = squares[:, :, :3]
         # Sum of g g^T over blocks, g the sum of z e over a block, times dt; sum f f^T over the time
         # with feedback, times dt
         self.scores, self.power = squares[:, :, 3], squares[:, :, 4]
-        # Number of blocks, and time with feedback, by chance or not, s
-        self.blocks, self.answer_time = table[..., -2], table[..., -1]
+        # Number of blocks; time with feedback, by chance or not, s; sum of the squares of the main
+        # input's instrument, of injected samples, times dt
+        self.blocks, self.answer_time, self.injected = np.moveaxis(table[..., -3:], -1, 0)
 
     @classmethod
     def empty(cls, parts: int, rows: int, k: int) -> Self:
         """Return empty sums."""
-        return cls(np.zeros((parts, rows, k * (1 + 7 * k) + 2)), k)
+        return cls(np.zeros((parts, rows, k * (1 + 7 * k) + 3)), k)
 
     def __getitem__(self, parts: slice) -> Sums:
         """Return views of some of the parts."""
@@ -231,6 +232,8 @@ class Information:
         samples: Sequence[RowSamples],
         weight: FloatArray,
         answering: FloatArray | None = None,
+        *,
+        injected: bool = False,  # Whether the instruments are the response to injected signals
     ) -> None:
         """Add the samples of each part, as `Sums.add`; a row of weight 0 stays as it is."""
         if (rows := self.warming_up & (self.time.max() >= self._warm_at)).any():
@@ -251,6 +254,10 @@ class Information:
             if self._faded.max() < ROUNDING:
                 self._fading.table[:] = self._faded[:] = 0.0
         score = self.sums.add(stack, weight, answering)
+        if injected:
+            moments = np.arange(len(ROWS))
+            power = np.square(stack.z[:, moments, :, self.layout.main]).sum(axis=-1).T
+            self.sums.injected[:, moments] += stack.dt * weight[moments] * power
         residual = stack.residual
         # The error of coefficients without information is no residual.
         square = np.minimum(residual * residual, OUTLYING * self.variance[..., None])
@@ -269,6 +276,17 @@ class Information:
             if self.forgetting_time > 0.0:
                 self.sums.weigh(np.exp(full * self._score_time / -self.forgetting_time))
             self._score[:, full] = self._score_time[full] = 0.0
+
+    def injected_share(self) -> FloatArray:
+        """Return the share of the main inputs' power that was injected, of moment rows, (3,)."""
+        sums, moments = self.sums_of(slice(1)), np.arange(len(ROWS))
+        power = sums.zz[0, moments, self.layout.main, self.layout.main]
+        return np.asarray(sums.injected[0, moments] / np.maximum(power, POWERLESS))
+
+    def linear_of(self, values: FloatArray) -> FloatArray:
+        """Return coefficients of the regression problem, (rows, k), of the structure's (R, n)."""
+        entries = np.where(self.layout.used, values[self._i, self._j], 0.0)
+        return np.asarray((self._transform(values) @ entries[..., None])[..., 0])
 
     @property
     def _plain(self) -> BoolArray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector
 from uav_ident_ros.identification.estimators.estimator import Estimator, SecondEstimator
-from uav_ident_ros.identification.estimators.information import MODEL_ERROR
+from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Solution
 from uav_ident_ros.identification.estimators.model_error import ModelError, known_inputs
 from uav_ident_ros.identification.gates import ExcitationGate
 from uav_ident_ros.identification.prior import Start, weak_sigma
@@ -27,6 +27,7 @@ from uav_ident_ros.identification.scales import (
     OUTLYING,
     SHORT_MEMORY,
     START_TIME,
+    TINY,
 )
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
@@ -76,7 +77,8 @@ class RecursiveRegression(Estimator):
             blank = RecursiveRegression(weak, settings, instrumental=instrumental)
             self._reference = SecondEstimator(blank)
         self._power: FloatArray = np.zeros(len(ROWS))  # Mean square of the rates
-        self._injected = self._ever_injected = False
+        self._instrumental, self._injected, self._ever_injected = instrumental, False, False
+        self._white_share: FloatArray | None = None
         parts = (True, True) if instrumental else (False, True, True)
         super().__init__(settings, start, parts, settings.forgetting_time)
         self._cutoff = settings.filter.cutoff
@@ -147,7 +149,7 @@ class RecursiveRegression(Estimator):
         self.height = self._error.height if known_now[0] else 0.0
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
-        self.information.add(parts, weight, answering)
+        self.information.add(parts, weight, answering, injected=samples.injected)
         self._follow_changes(samples)
         if self._reference and reference_has_learned:
             self._reject_priors(self._reference.estimator)
@@ -186,25 +188,21 @@ class RecursiveRegression(Estimator):
     def _solve(self, early: float = 0.0) -> None:
         """Solve; clear all information if a row diverges.
 
-        Standard deviations follow every `LOOK_TIME`, or `early` s sooner. They cover the distances
-        between the parts. Estimates at a bound agree there, however far apart they are without it:
-        the distances are those of the unbounded estimates, and the shift by the bound is added.
+        Standard deviations follow every `LOOK_TIME`, or `early` s sooner.
         """
         due, before = self._since_sigma >= LOOK_TIME - early, self.coefficients
-        solution = self.information.solve(before, slice(None) if due else slice(1))
-        values = solution.values[0]
+        mixes = self._instrumental and self._ever_injected
+        solution = self.information.solve(before, slice(None) if due else slice(1 + mixes))
+        if due:
+            covariance, sigmas = self.information.spread(solution)
+            self._white_share = self._least_variance(sigmas) if mixes else None
+        values, linear = solution.values[0], solution.linear[0]
+        if self._white_share is not None:
+            values = values + self._white_share * (solution.values[1] - values)
+            linear = self.information.linear_of(values)
         sound = np.maximum.reduce(np.abs(values), axis=None) < LARGEST_NUMBER  # NaN fails too
         if due:
-            covariance, (sigma, white_sigma, *_) = self.information.spread(solution)
-            own, white, *reference = solution.unbounded
-            for other in reference:
-                sigma = np.hypot(sigma, own - other)
-            sigma = np.hypot(np.maximum(sigma, white_sigma), own - white)
-            sigma = np.hypot(sigma, own - values)
-            main = MAIN_DERIVATIVES
-            sigma[main] = np.hypot(sigma[main], self._error.share * values[main])
-            sigma = np.hypot(sigma, MODEL_ERROR * values)
-            sigma = np.where(self.start.free, sigma, self.start.sigma)
+            sigma = self._sigma_of(values, solution, sigmas)
             sound = sound and bool(np.isfinite(sigma).all())
         if not sound:
             self.forget(0.0)
@@ -212,8 +210,46 @@ class RecursiveRegression(Estimator):
         if due:
             self._known = solution, covariance
             self.sigma, self._since_sigma = sigma, 0.0
-        self.linear = self._layout.matrix(solution.linear[0])
+        self.linear = self._layout.matrix(linear)
         self.coefficients = values
+
+    def _least_variance(self, sigmas: FloatArray) -> FloatArray:
+        """Return the share of the whitened estimate in the one in use, (R, n), 0 ... 1.
+
+        Injected signals as instruments make both consistent: no disturbance is in them. Weighed by
+        the inverse of their variances both together have the least variance (as in GLS; gusts are
+        slow, and whitening removes most of them). With other instruments the plain one is in use:
+        there the residual is the model's error as well. The share of what was injected in the
+        information of a row leads from the one to the other.
+        """
+        plain, white, *_ = np.square(sigmas)
+        share = plain / (plain + white + TINY)
+        injected = self._row_weights(self.information.injected_share())
+        rows, entries = np.nonzero(self._layout.used)
+        by_place = np.zeros_like(share)
+        by_place[tuple(self._layout.place[rows, entries].T)] = injected[rows]
+        return np.asarray(by_place * share)
+
+    def _sigma_of(self, values: FloatArray, solution: Solution, sigmas: FloatArray) -> FloatArray:
+        """Return the standard deviations of the estimate in use, (R, n), from those of the parts.
+
+        They cover the distances between the parts. Estimates at a bound agree there, however far
+        apart they are without it: the distances are those of the unbounded estimates, and the shift
+        by the bound is added.
+        """
+        sigma, white_sigma, *_ = sigmas
+        own, white, *reference = solution.unbounded
+        for other in reference:
+            sigma = np.hypot(sigma, own - other)
+        farther = 1.0
+        if self._white_share is not None:
+            farther = np.maximum(self._white_share, 1.0 - self._white_share)
+        sigma = np.hypot(np.maximum(sigma, white_sigma), farther * (own - white))
+        sigma = np.hypot(sigma, own - solution.values[0])
+        main = MAIN_DERIVATIVES
+        sigma[main] = np.hypot(sigma[main], self._error.share * values[main])
+        sigma = np.hypot(sigma, MODEL_ERROR * values)
+        return np.where(self.start.free, sigma, self.start.sigma)
 
     # -- rejection of priors ----------------------------------------------------------------
 
