@@ -241,10 +241,10 @@ class RecursiveRegression(Estimator):
         own, white, *reference = solution.unbounded
         for other in reference:
             sigma = np.hypot(sigma, own - other)
-        farther = 1.0
+        distance = own - white
         if self._white_share is not None:
-            farther = np.maximum(self._white_share, 1.0 - self._white_share)
-        sigma = np.hypot(np.maximum(sigma, white_sigma), farther * (own - white))
+            distance *= np.maximum(self._white_share, 1.0 - self._white_share)
+        sigma = np.hypot(np.maximum(sigma, white_sigma), distance)
         sigma = np.hypot(sigma, own - solution.values[0])
         main = MAIN_DERIVATIVES
         sigma[main] = np.hypot(sigma[main], self._error.share * values[main])
