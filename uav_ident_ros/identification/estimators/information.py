@@ -391,9 +391,7 @@ class Information:
         except np.linalg.LinAlgError:
             inverse = np.full_like(solution.matrix, np.nan)
         gain = inverse @ solution.projected * solution.scale.swapaxes(-1, -2)
-        # Few blocks underestimate the scatter: p coefficients cost p degrees of freedom.
-        correction = 1.0 + self._lost / np.maximum(sums.blocks - self._lost, 1.0)
-        middle = sums.scores * correction[..., None, None]
+        middle = sums.scores * self.correction(sums)[..., None, None]
         held = inverse * (prior**2 * self._prior_variance)[..., None, :]
         covariance = gain @ middle @ gain.swapaxes(-1, -2) + held @ inverse.swapaxes(-1, -2)
         variance = np.maximum(diagonal(covariance), 0.0)
@@ -409,6 +407,10 @@ class Information:
             solution.linear[:, row, angle] ** 2 * out[:, force, column] * resolved
         )
         return covariance, np.where(self.start.free, np.sqrt(out), self.start.sigma)
+
+    def correction(self, sums: Sums) -> FloatArray:
+        """Return the factor of the scatter of few blocks, (parts, rows): k coefficients cost k."""
+        return np.asarray(1.0 + self._lost / np.maximum(sums.blocks - self._lost, 1.0))
 
     def _answered(self, solution: Solution, part: int, gain: FloatArray) -> FloatArray:
         """Return the largest error by feedback, squared, (rows, k).

@@ -195,7 +195,7 @@ class RecursiveRegression(Estimator):
         solution = self.information.solve(before, slice(None) if due else slice(1 + mixes))
         if due:
             covariance, sigmas = self.information.spread(solution)
-            self._white_share = self._least_variance(sigmas) if mixes else None
+            self._white_share = self._least_variance(solution, sigmas) if mixes else None
         values, linear = solution.values[0], solution.linear[0]
         if self._white_share is not None:
             values = values + self._white_share * (solution.values[1] - values)
@@ -213,18 +213,20 @@ class RecursiveRegression(Estimator):
         self.linear = self._layout.matrix(linear)
         self.coefficients = values
 
-    def _least_variance(self, sigmas: FloatArray) -> FloatArray:
+    def _least_variance(self, solution: Solution, sigmas: FloatArray) -> FloatArray:
         """Return the share of the whitened estimate in the one in use, (R, n), 0 ... 1.
 
         Injected signals as instruments make both consistent: no disturbance is in them. Weighed by
         the inverse of their variances both together have the least variance (as in GLS; gusts are
         slow, and whitening removes most of them). With other instruments the plain one is in use:
         there the residual is the model's error as well. The share of what was injected in the
-        information of a row leads from the one to the other.
+        information of a row leads from the one to the other, and so do the blocks beyond its k
+        coefficients, up to twice k: fewer blocks tell neither noise nor variances.
         """
         plain, white, *_ = np.square(sigmas)
         share = plain / (plain + white + TINY)
         injected = self._row_weights(self.information.injected_share())
+        injected /= np.maximum(self.information.correction(solution.sums)[0] - 1.0, 1.0)
         rows, entries = np.nonzero(self._layout.used)
         by_place = np.zeros_like(share)
         by_place[tuple(self._layout.place[rows, entries].T)] = injected[rows]
