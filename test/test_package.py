@@ -180,7 +180,7 @@ def test_entry_points_are_callable_and_shadow_nothing():
         ("simulate", "simulation.cli.flight_from", ["--output", "flight"]),
         ("import_log", "import_logs.cli.read_log", ["flight.ulg"]),
         ("fleet", "offline.fleet_command.fleet_of", ["flights.csv"]),
-        ("replay", "offline.command.is_collection", ["flight"]),
+        ("replay", "offline.command.find_bags", ["flight"]),
     ],
 )
 def test_ctrl_c_ends_a_command_without_a_traceback(

@@ -23,7 +23,7 @@ from repository import ROOT
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, job, main
 from uav_ident_ros.offline.command import WORST_FIT, mean_fit, overview, percent, ranked, ranking
-from uav_ident_ros.offline.find import find_bags, is_collection, names_of
+from uav_ident_ros.offline.find import find_bags, names_of
 from uav_ident_ros.offline.fleet import read_flights
 from uav_ident_ros.offline.job import Job, Outcome
 from uav_ident_ros.offline.parallel import DONE_FILE
@@ -51,21 +51,18 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_bag_is_distinguished_from_a_folder_of_bags(tmp_path: Path) -> None:
     flight = excerpt(tmp_path / "flight", 0.1)
-    assert not is_collection(flight)
-    assert not is_collection(flight / "flight.mcap")
-    assert not is_collection(tmp_path / "nowhere")
+    for bag in (flight, flight / "flight.mcap", tmp_path / "nowhere"):
+        assert find_bags(bag) == [bag]
     (flight / "metadata.yaml").unlink()
-    assert not is_collection(flight)  # one file without metadata: killed recorder
+    assert find_bags(flight) == [flight]  # one file without metadata: killed recorder
     (flight / "flight.mcap").rename(flight / "flight_0.mcap")
     (flight / "flight_1.mcap").write_bytes(b"")
-    assert not is_collection(flight)  # the numbered files of one recording
+    assert find_bags(flight) == [flight]  # the numbered files of one recording
     (flight / "other_0.mcap").write_bytes(b"")
-    assert is_collection(flight)
     assert [bag.name for bag in find_bags(flight)] == [
         "flight_0.mcap", "flight_1.mcap", "other_0.mcap"
     ]  # fmt: skip
     (tmp_path / "empty").mkdir()
-    assert is_collection(tmp_path / "empty")
     assert find_bags(tmp_path / "empty") == []
 
 

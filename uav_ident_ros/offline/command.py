@@ -13,7 +13,7 @@ from uav_ident_ros.bags.reading import STORAGE_SUFFIXES, BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import end_as_on_ctrl_c, reader_has_gone
 from uav_ident_ros.offline import NO_RESULT
-from uav_ident_ros.offline.find import find_bags, is_collection, names_of
+from uav_ident_ros.offline.find import find_bags, names_of
 from uav_ident_ros.offline.fleet import arrow, rows_of, write_flights
 from uav_ident_ros.offline.job import VERDICTS, Job, Outcome, replay, reserved
 from uav_ident_ros.offline.parallel import replay_all
@@ -92,7 +92,7 @@ def ranking(bag: str, outcomes: Sequence[Outcome]) -> str:
 def run(command_line: argparse.ArgumentParser, options: argparse.Namespace) -> int:
     """Run the command with its options; return the exit status, see `replay --help`."""
     try:
-        several = len(options.bags) > 1 or is_collection(options.bags[0])
+        several = len(options.bags) > 1 or find_bags(options.bags[0]) != options.bags
         if options.compare and several:
             command_line.error("--compare takes one bag")
         name = options.bags[0].resolve().stem

@@ -17,24 +17,19 @@ SPLIT_NUMBER = re.compile(r"_\d+$")
 """Number of a file of one rosbag2 recording: flight/flight_0.mcap, flight/flight_1.mcap."""
 
 
-def is_collection(path: Path) -> bool:
-    """Whether a path is a folder of bags and not a bag itself.
+def find_bags(path: Path) -> list[Path]:
+    """Return the bags of a path: itself, or those in a folder at any depth, in the order of names.
 
     A folder without metadata that holds one storage file, or the numbered files of one
     recording, is a bag.
     """
     if not path.is_dir() or (path / METADATA_FILE).exists():
-        return False
-    files = storage_files(path)
+        return [path]
+    files, below = storage_files(path), _below(path)
     recordings = {SPLIT_NUMBER.sub("", file.stem) for file in files}
     numbered = all(SPLIT_NUMBER.search(file.stem) for file in files)
     is_recording = len(files) == 1 or (len(recordings) == 1 and numbered)
-    return not is_recording or bool(_below(path))
-
-
-def find_bags(path: Path) -> list[Path]:
-    """Return the bags of a path: in a folder at any depth, in the order of names."""
-    return sorted([*storage_files(path), *_below(path)]) if is_collection(path) else [path]
+    return [path] if is_recording and not below else sorted([*files, *below])
 
 
 def storage_files(folder: Path) -> list[Path]:
