@@ -274,10 +274,6 @@ class OfflineRun:
                 errors.append(replace(found, t_ns=found.t_ns + shift_ns))
         return score_windows(WindowErrors.join(errors), 0, end_ns)
 
-    def eras(self) -> TimeArray:
-        """Return the number of restarts of the time base before each estimate, shape (K,)."""
-        return np.array([era for era, *_ in self._contexts], dtype=np.int64)
-
     def stretches(self) -> Iterator[Stretch]:
         """Yield measurements and estimates of every time base and every delay."""
         imu, contexts = self.inputs.settings.imu, sorted(set(self._contexts))

@@ -43,9 +43,15 @@ class Flight:
             self._origins[part.era] = (int(part.t_ns[0]), start)
             start += int(part.t_ns[-1] - part.t_ns[0]) * NS + PAUSE_BETWEEN
         # Times of the ticks, s, shape (K,)
-        stamps, eras = self.estimates.stamps(), run.eras()
-        parts = [self.seconds(era, stamps[eras == era]) for era in self._origins]
-        self.tick_t = np.concatenate(parts)
+        parts = [self.seconds(part.era, part.ticks.stamps()) for part in self.stretches]
+        self.tick_t = np.sort(np.concatenate(parts))
+        # At the N gyro samples: times, s, (N,); p, q, r, rad/s, (N, 3); ay, az, m/s^2, (N, 2);
+        # de, dr, da, dth, delayed and lagged, (N, 4)
+        bases = self.time_bases
+        self.t = np.concatenate([self.seconds(part.era, part.t_ns) for part in bases])
+        self.rates = _joined([part.rates for part in bases])
+        self.force = _joined([part.force for part in bases])
+        self.u = np.concatenate([_inputs_at(part.inputs, part.t_ns) for part in bases])
 
     def seconds(self, era: int, t_ns: TimeArray) -> FloatArray:
         """Return the time of stamps of a time base on the common clock, s, same shape."""
@@ -56,26 +62,6 @@ class Flight:
     def restarts(self) -> list[float]:
         """Times at which a new time base begins, s."""
         return [start for _, start in self._origins.values()][1:]
-
-    @cached_property
-    def t(self) -> FloatArray:
-        """Times of the gyro samples, s, shape (N,)."""
-        return np.concatenate([self.seconds(p.era, p.t_ns) for p in self.time_bases])
-
-    @cached_property
-    def rates(self) -> FloatArray:
-        """Measured p, q, r, shape (N, 3)."""
-        return _joined([part.rates for part in self.time_bases])
-
-    @cached_property
-    def force(self) -> FloatArray:
-        """Measured ay, az, m/s^2, shape (N, 2)."""
-        return _joined([part.force for part in self.time_bases])
-
-    @cached_property
-    def u(self) -> FloatArray:
-        """Inputs de, dr, da, dth at the gyro samples, delayed and lagged, shape (N, 4)."""
-        return np.concatenate([_inputs_at(part.inputs, part.t_ns) for part in self.time_bases])
 
     @cached_property
     def ahead(self) -> Predictions:
