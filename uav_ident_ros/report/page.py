@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """`report.html`: one file for any browser, without a network."""
 
-import platform
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +13,11 @@ from bokeh.document import Document
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader
 
-import uav_ident_ros
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.delay import DelayBank
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
-from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import (
     AXES,
@@ -89,8 +85,7 @@ def sections(replayed: Replayed) -> Iterator[Section]:
     yield _delay_section(identifier.delays, identifier.delay)
     yield Section("messages", "Messages", [], [tables.messages_table(summary)])
     yield Section("settings", "Settings", [], [*tables.settings_tables(summary)])
-    files = bag_files(replayed.bag)
-    yield Section("origin", "Origin", [], [*tables.origin_tables(files, versions())])
+    yield Section("origin", "Origin", [], [*tables.origin_tables(replayed.bag)])
 
 
 _FIT_TEXT = (
@@ -140,16 +135,6 @@ def _delay_section(bank: DelayBank, in_use: float) -> Section:
             f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
         )
     return Section("delay", "Delay", [text], charts=[chart] if chart else [])
-
-
-PACKAGES = ("numpy", "rosbags", "bokeh")
-"""Packages that affect the numbers or the charts."""
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of this package, of Python and of `PACKAGES`."""
-    own = {"uav_ident_ros": uav_ident_ros.__version__, "Python": platform.python_version()}
-    return own | {package: metadata.version(package) for package in PACKAGES}
 
 
 # --- the page -------------------------------------------------------------------------------------

@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """The tables and cards of the report."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import platform
+from collections.abc import Iterator, Mapping
+from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import uav_ident_ros
 from uav_ident_ros.files.meanings import AXIS_WORDS
 from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
+from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.tables import Number, Row, Table, Words
 from uav_ident_ros.report.diagrams import SIGNALS, signals
 from uav_ident_ros.report.flight import Flight
@@ -76,12 +81,16 @@ def settings_tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     yield Table("Settings at their defaults", head, others, folded)
 
 
-def origin_tables(
-    files: Sequence[tuple[str, int, str]], versions: Mapping[str, str]
-) -> Iterator[Table]:
+PACKAGES = ("numpy", "rosbags", "bokeh")
+"""Packages that affect the numbers or the charts."""
+
+
+def origin_tables(bag: Path) -> Iterator[Table]:
     """Yield the files of the bag with their hashes, and the versions of the software."""
-    rows = [Row(name, [f"{size}", Words(digest)]) for name, size, digest in files]
+    rows = [Row(name, [f"{size}", Words(digest)]) for name, size, digest in bag_files(bag)]
     yield Table("Bag", ("file", "bytes", Words("SHA-256")), rows)
+    versions = {"uav_ident_ros": uav_ident_ros.__version__, "Python": platform.python_version()}
+    versions |= {package: metadata.version(package) for package in PACKAGES}
     software = [Row(name, [version]) for name, version in versions.items()]
     yield Table("Software", ("package", "version"), software)
 
