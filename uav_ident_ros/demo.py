@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 
 from uav_ident_ros.bags.reading import Bag, Message
-from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c, number
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.messages.streams import STREAMS
@@ -26,7 +25,7 @@ from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME
 from uav_ident_ros.offline import main as replay
 from uav_ident_ros.offline.inputs import Inputs, choose_inputs
-from uav_ident_ros.offline.job import REFUSALS, parameters_beside
+from uav_ident_ros.offline.job import REFUSALS, parameters_beside, reserved
 from uav_ident_ros.player import Player, PlayerError
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.share import shared
@@ -103,20 +102,17 @@ def run_demo(options: argparse.Namespace) -> int:
     speed = options.speed or (DEFAULT_SPEED if stamped else 1.0)
     name = options.bag.resolve().stem
     folder = options.output / f"demo_{name}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BagWriteError(f"cannot write into '{folder}': {error.strerror}") from None
-    log = folder / "node.log"
-    log.unlink(missing_ok=True)
-    print(
-        f"{name}: {(messages[-1].log_ns - messages[0].log_ns) * 1e-9:.0f} s at {speed:g} times "
-        f"real time, ROS domain {os.environ['ROS_DOMAIN_ID']}",
-        flush=True,
-    )
-    if not play(running_node(inputs, file, log), topics, messages, speed):
-        print(f"demo: the node published nothing: {log.read_text().strip()}", file=sys.stderr)
-        return FAILED
+    with reserved(folder):
+        log = folder / "node.log"
+        log.unlink(missing_ok=True)
+        print(
+            f"{name}: {(messages[-1].log_ns - messages[0].log_ns) * 1e-9:.0f} s at {speed:g} times "
+            f"real time, ROS domain {os.environ['ROS_DOMAIN_ID']}",
+            flush=True,
+        )
+        if not play(running_node(inputs, file, log), topics, messages, speed):
+            print(f"demo: the node published nothing: {log.read_text().strip()}", file=sys.stderr)
+            return FAILED
     print(f"\nthe node's log: {log}\nthe same flight by replay, with its score:\n", flush=True)
     parameters = ["--params-file", str(file)] if file else []
     status = replay([str(options.bag), *parameters, "--output", str(folder), "--plot", "--report"])
