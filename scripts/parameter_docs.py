@@ -9,12 +9,11 @@ stands between the markers ``<!-- generated: NAME -->`` and ``<!-- end: NAME -->
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from uav_ident_ros.files.parameter_file import written
-from uav_ident_ros.identification.settings import Setting, Settings, Value, declarations
+from uav_ident_ros.identification.settings import Setting, Value, declarations
 from uav_ident_ros.messages.types import ACTUATORS, FRD_TYPES, RATES
 
 CONFIG = Path(__file__).resolve().parents[1] / "config" / "identifier.yaml"
@@ -48,13 +47,9 @@ _BLOCK = re.compile(
 )
 
 
-def write_value(value: Value | list[Any]) -> str:
-    """Write a value as in a parameter file."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(write_value(entry) for entry in value) + "]"
-    return f'"{value}"' if value == "" else str(value)
+def write_value(value: Value) -> str:
+    """Write a value as in a parameter file, words without quotes."""
+    return value if isinstance(value, str) and value else written(value)
 
 
 def allowed_values(setting: Setting) -> str:
@@ -174,25 +169,18 @@ _HEADER = """\
 """
 
 
-def render(
-    settings: Settings | None = None,  # The values to write; the defaults if left out
-) -> str:
+def render() -> str:
     """Return the parameter file as text."""
-    values = (settings or Settings()).values()
-    return _HEADER + "\n".join(_lines(values)) + "\n"
+    return _HEADER + "\n".join(_lines()) + "\n"
 
 
-def _lines(values: Mapping[str, Value]) -> Iterator[str]:
+def _lines() -> Iterator[str]:
     open_groups: list[str] = []
     for setting in declarations():
         *groups, leaf = setting.name.split(".")
-        shared = 0
-        while shared < min(len(groups), len(open_groups)) and (
-            groups[shared] == open_groups[shared]
-        ):
-            shared += 1
-        for depth in range(shared, len(groups)):
-            yield f"{_indent(depth)}{groups[depth]}:"
+        for depth, group in enumerate(groups):
+            if groups[: depth + 1] != open_groups[: depth + 1]:
+                yield f"{_indent(depth)}{group}:"
         open_groups = groups
         indent = _indent(len(groups))
         yield from textwrap.wrap(
@@ -202,7 +190,7 @@ def _lines(values: Mapping[str, Value]) -> Iterator[str]:
             subsequent_indent=f"{indent}# ",
             break_on_hyphens=False,
         )
-        yield f"{indent}{leaf}: {written(values[setting.name])}"
+        yield f"{indent}{leaf}: {written(setting.default)}"
 
 
 def _indent(depth: int) -> str:
