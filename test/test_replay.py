@@ -548,17 +548,23 @@ def test_excitation_messages_of_unknown_inputs_are_dropped(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("command", "package"),
-    [("replay", "rosbags"), ("replay", "mcap"), ("replay", "pyarrow"), ("import_log", "rosbags")],
+    ("command", "package", "cure"),
+    [
+        ("replay bag bag", "rosbags", "apt does not have it"),
+        ("replay bag bag", "mcap", "apt does not have it"),
+        ("replay bag bag", "pyarrow", "pip install pyarrow"),
+        ("import_log log", "rosbags", "apt does not have it"),
+        ("monitor", "rich", "install python3-rich from apt"),
+    ],
 )
-def test_the_error_names_the_missing_package(command: str, package: str) -> None:
+def test_the_error_names_the_missing_package(command: str, package: str, cure: str) -> None:
     """This is the case of an installation from apt alone."""
-    given = ["bag", "bag"] if command == "replay" else ["log"]
+    name, *given = command.split()
     code = (
         f"import sys; sys.modules['{package}'] = None\n"
-        f"from uav_ident_ros.commandline import {command}; sys.exit({command}({given}))"
+        f"from uav_ident_ros.commandline import {name}; sys.exit({name}({given}))"
     )
     run = python("-c", code)
     assert run.returncode == 2
-    assert run.stderr.startswith(f"{command}: the Python package '{package}' is missing")
+    assert run.stderr.startswith(f"{name}: the Python package '{package}' is missing: {cure}")
     assert run.stderr.count("\n") == 1

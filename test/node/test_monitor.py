@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from programs import PATIENCE, Capture, StartNode, Terminal, handled, python, refusal, wait_for
+from programs import PATIENCE, Capture, StartNode, Terminal, handled, refusal, wait_for
 from recordings import Fly, change, recording
 from repository import ROOT
 
@@ -19,11 +19,6 @@ from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.monitor.cli import parser
 
 MONITOR = [sys.executable, "-m", "uav_ident_ros", "monitor"]
-
-WITHOUT_RICH = (
-    "import sys; sys.modules['rich'] = None\n"
-    "from uav_ident_ros.commandline import monitor; sys.exit(monitor())"
-)
 
 SILENT = re.compile(
     r"^/identifier  waiting  not usable  last tick [\d.]+ s, none since$", re.MULTILINE
@@ -207,13 +202,6 @@ def test_the_monitor_waits_for_a_node_and_restores_the_terminal(
     assert monitor.wait(PATIENCE) == 0
     assert monitor.stderr.read() == ""
     monitor.stdout = None
-
-
-def test_without_rich_the_error_names_its_package() -> None:
-    done = python("-c", WITHOUT_RICH)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "'rich' is missing: install python3-rich from apt" in done.stderr
 
 
 @pytest.mark.parametrize(
