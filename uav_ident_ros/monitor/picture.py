@@ -154,7 +154,7 @@ def _row(watched: WatchedNode, row: str, found: Sequence[Coefficient], glyphs: G
         if watched.newest is not None:
             usable = watched.newest.usable_rows[k] and watched.fresh
             lines[0].append(f" {glyphs.verdicts[usable]}", "green" if usable else "yellow")
-        lines.append(_fit(*watched.fit_of(k)))
+        lines.append(_fit(watched, k))
     excitation = watched.number(f"excitation {row} [0..1]")
     if excitation is not None:
         lines[0].append(f"   excited {excitation:.2f}", "not bold dim")
@@ -167,10 +167,13 @@ def _kinematics(coefficients: Sequence[Coefficient]) -> Text:
     return Text.assemble(("kinematics", "bold"), *(f"\n{line}" for line in lines))
 
 
-def _fit(fit: float | None, hold: float | None) -> Text:
-    """Return the fit of a moment equation beside that of holding the rate."""
-    if fit is None:
+def _fit(watched: WatchedNode, row: int) -> Text:
+    """Return the running fit of a moment equation beside that of holding the rate, percent."""
+    fits = None if watched.newest is None else watched.newest.fit
+    hold = watched.number(f"hold {'pqr'[row]} [%]")
+    if fits is None or not fits.any():
         return Text("no fit yet", "dim")
+    fit = fits[row]
     better = fit > (0.0 if hold is None else hold)
     held = "" if hold is None else f"  hold {hold:.0f} %"
     return Text.assemble((f"fit {fit:.0f} %", "green" if better else "yellow"), (held, "dim"))

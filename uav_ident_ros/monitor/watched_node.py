@@ -117,15 +117,6 @@ class WatchedNode:
             return []
         return level_modes(new.structure, new.values, new.sigma, new.flow.airspeed)
 
-    def fit_of(self, row: int) -> tuple[float | None, float | None]:
-        """Return the running fit of a moment equation and that of holding its rate, percent.
-
-        None before the first, and where the node does not publish it.
-        """
-        fit = None if self.newest is None else self.newest.fit
-        hold = self.number(f"hold {'pqr'[row]} [%]")
-        return (float(fit[row]) if fit is not None and fit.any() else None), hold
-
     def rows(self) -> dict[str, list[Coefficient]]:
         """Return the coefficients by the rows of the model, the moment equations first."""
         rows: dict[str, list[Coefficient]] = {row: [] for row in ROWS}
