@@ -242,13 +242,13 @@ class Campaign:
             self.now_ns = t_ns + shift_ns
             if self.now_ns - clock_ns >= SECOND_NS // 100:
                 clock_ns = self.now_ns
-                self.player.send_clock(clock_ns)
+                self.player.clock.send(clock_ns)
             self.send(topic, data if topic == ARMED else stamped(data, self.now_ns))
             if between is not None and topic == RATES:
                 between()
         for _ in range(10):
             self.now_ns += SECOND_NS // 100
-            self.player.send_clock(self.now_ns)
+            self.player.clock.send(self.now_ns)
             self.listen(0.02)
         self.wait()
 
@@ -344,7 +344,7 @@ class Campaign:
             self.fly(2.0)
             self.call_something()
         for clock_ns in (0, 1, 2**31 * SECOND_NS - 1, self.now_ns, self.now_ns - SECOND_NS):
-            self.player.send_clock(clock_ns)
+            self.player.clock.send(clock_ns)
             self.listen(0.1)
         self.now_ns = max(self.now_ns, start)
         self.fly(2.0)

@@ -85,7 +85,7 @@ class Player(Guest):
         self._publishers = {
             topic: self.node.create_publisher(kind, topic, DEPTH) for topic, kind in topics.items()
         }
-        self._clock = StepClock(self.node, self._executor, CLOCK_PERIOD_NS, clock)
+        self.clock = StepClock(self.node, self._executor, CLOCK_PERIOD_NS, clock)
         out, name, last = self.outputs, NODE_NAME, latched(DEPTH)
         subscribe = self.node.create_subscription
         subscribe(JointState, f"{name}/coefficients_named", out.named.append, last)
@@ -107,8 +107,8 @@ class Player(Guest):
     def node_is_there(self) -> bool:
         """Return whether the node subscribes to all topics and publishes its outputs."""
         publishers = [*self._publishers.values()]
-        if self._clock.publisher is not None:
-            publishers.append(self._clock.publisher)
+        if self.clock.publisher is not None:
+            publishers.append(self.clock.publisher)
         output = f"{NODE_NAME}/coefficients_named"
         return self.node.count_publishers(output) > 0 and all(
             publisher.get_subscription_count() > 0 for publisher in publishers
@@ -119,7 +119,7 @@ class Player(Guest):
         self.wait_until(
             self.node_is_there,
             f"node '{NODE_NAME}' to subscribe to {', '.join(self._publishers)}"
-            + (" and /clock" if self._clock.publisher else ""),
+            + (" and /clock" if self.clock.publisher else ""),
         )
         self._wait_for_service()
         self.spin_for(SETTLE)
@@ -145,10 +145,6 @@ class Player(Guest):
         """Publish one message, or its CDR bytes."""
         self._publishers[topic].publish(data)
 
-    def send_clock(self, t_ns: int) -> bool:
-        """Publish a time on /clock; return whether it is earlier than the last one."""
-        return self._clock.send(t_ns)
-
     def play(
         self,
         messages: Sequence[Message],  # In log-time order
@@ -168,7 +164,7 @@ class Player(Guest):
         start_ns, start = messages[0].log_ns, time.monotonic()
         late: list[float] = []
         clock_ns, awaited_ns = start_ns, start_ns + start_up_ns
-        if self.send_clock(clock_ns):  # a jump back must arrive before the messages
+        if self.clock.send(clock_ns):  # a jump back must arrive before the messages
             self.spin_for(SETTLE)
         for message in messages:
             while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
@@ -179,7 +175,7 @@ class Player(Guest):
                     self._keep_in_step(clock_ns, start_ns, awaited_ns)
                 late.append(time.monotonic() - due)
                 on_time(clock_ns)
-                self._clock.advance(clock_ns)
+                self.clock.advance(clock_ns)
             self._publishers[message.topic].publish(message.data)
         self._flush()
         return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
@@ -199,7 +195,7 @@ class Player(Guest):
         """Spin, and wait for the output of `ANSWER_WITHIN_NS` before `t_ns`."""
         self._executor.spin_once(timeout_sec=0.0)
         wanted_ns = t_ns - ANSWER_WITHIN_NS
-        if wanted_ns >= awaited_ns and not self._clock.wait(
+        if wanted_ns >= awaited_ns and not self.clock.wait(
             lambda: self.end_requested() or self.outputs.newest_ns >= wanted_ns, t_ns, PATIENCE
         ):
             raise PlayerError(
@@ -210,12 +206,12 @@ class Player(Guest):
     def _flush(self) -> None:
         """Advance /clock until the node's last outputs have arrived."""
         for _ in range(CLOCK_AHEAD_NS // CLOCK_PERIOD_NS):
-            self._clock.advance()
+            self.clock.advance()
             self.spin_for(POLL_PERIOD)
         self.spin_for(SETTLE)
         # A busy node may have received all of these steps before the last messages.
         newest_ns = None
         while newest_ns != self.outputs.newest_ns:
             newest_ns = self.outputs.newest_ns
-            self._clock.advance()
+            self.clock.advance()
             self.spin_for(SETTLE)

@@ -115,7 +115,7 @@ def test_a_run_is_aborted_when_no_input_messages_arrive(flight: Recording, playe
     assert call(player, SetBool, "excite", data=True).success
     now_ns = part(flight, 0.0, 2.0)[-1].log_ns + 100 * MS
     for k in range(90):  # time alone advances
-        player.send_clock(now_ns + k * 10 * MS)
+        player.clock.send(now_ns + k * 10 * MS)
         player.spin_for(0.02)
     player.wait_until(lambda: entries(player)["excite: state"] == "idle", "the end of the run")
     assert "no ticks any more" in entries(player)["excite: last run"]
