@@ -107,6 +107,14 @@ class ParameterFile:
             if _matches(section, node)
         ]
 
+    def parameters_for(self, node: str) -> dict[str, ParameterValue]:
+        """Return the `values_for` a node, without those of every node (``use_sim_time``)."""
+        return {
+            name: value
+            for name, value in self.values_for(node).items()
+            if name not in IGNORED and not name.startswith(QOS_PREFIX)
+        }
+
 
 def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
     """Return the identifier's parameters in a file for the node named `node`.
@@ -118,11 +126,7 @@ def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
     ParameterFileError
         If the file cannot be read, or none of its sections is for this node.
     """
-    return {
-        name: value
-        for name, value in ParameterFile.read(path).values_for(node).items()
-        if name not in IGNORED and not name.startswith(QOS_PREFIX)
-    }
+    return ParameterFile.read(path).parameters_for(node)
 
 
 def written(value: Any) -> str:

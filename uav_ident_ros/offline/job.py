@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -22,11 +23,7 @@ from uav_ident_ros.files.coefficients_file import (
     initial_coefficients,
     save_coefficients,
 )
-from uav_ident_ros.files.parameter_file import (
-    ParameterFile,
-    ParameterFileError,
-    load_parameters,
-)
+from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
@@ -121,12 +118,16 @@ class Job:
     aircraft: str = ""  # Name of the aircraft
     again: bool = False  # Whether to replay even if the result exists already
 
+    @cached_property
+    def files(self) -> list[ParameterFile]:
+        """The parameter files, read once; raises `ParameterFileError`."""
+        return [ParameterFile.read(path) for path in self.params_files]
+
+    @property
     def parameters(self) -> dict[str, Any]:
-        """Return the parameters by name; raises `ParameterFileError`."""
-        values: dict[str, Any] = {}
-        for file in self.params_files:
-            values.update(load_parameters(file, self.node))
-        return values
+        """The parameters by name; raises `ParameterFileError`."""
+        found = (file.parameters_for(self.node) for file in self.files)
+        return {name: value for values in found for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -200,9 +201,8 @@ def write_results(folder: Path, replayed: Replayed) -> None:
 
 def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[str, ...]]:
     """Run the identifier on the bag; return the run, and notes on the bag."""
-    values = job.parameters()
-    for file in job.params_files:
-        warnings += ParameterFile.read(file).doubts(job.node)
+    values = job.parameters
+    warnings += (doubt for file in job.files for doubt in file.doubts(job.node))
     with Bag(job.bag) as bag:
         try:
             inputs = choose_inputs(bag, values, job.topics)

@@ -156,7 +156,7 @@ def _earlier_outcome(job: Job, identity: str) -> Outcome | None:
 
 def identity_of(job: Job) -> str:
     """Return the hashes of a job's bag and settings, ``BAG:SETTINGS``; raises `REFUSALS`."""
-    values = job.parameters()
+    values = job.parameters
     initial = values.get("initial_coefficients_file")
     settings = {
         "version": uav_ident_ros.__version__,
