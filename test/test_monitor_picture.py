@@ -4,12 +4,12 @@
 import io
 import math
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from uav_ident_ros.bags.writing import joint_state
 from uav_ident_ros.client import Coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME, entry_names
@@ -47,13 +47,10 @@ def published(
 ) -> Coefficients:
     """Return a controller's view of a message with some entries; the others are zero."""
     names = entry_names(STRUCTURES[structure])
-    stamp = SimpleNamespace(sec=t_ns // SECOND_NS, nanosec=t_ns % SECOND_NS)
-    position, effort = [values.get(name, 0.0) for name in names], [sigma] * len(names)
+    positions, efforts = [values.get(name, 0.0) for name in names], [sigma] * len(names)
     if len(values) == len(names):
-        effort[:2] = 0.0, math.inf
-    header = SimpleNamespace(stamp=stamp)
-    message = SimpleNamespace(header=header, name=names, position=position, effort=effort)
-    return Coefficients.from_message(message)
+        efforts[:2] = 0.0, math.inf
+    return Coefficients.from_message(joint_state(t_ns, names, positions, efforts))
 
 
 def received(
