@@ -15,6 +15,7 @@ from repository import ROOT
 
 from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.demo import main
+from uav_ident_ros.offline.job import reserved
 
 PNG = b"\x89PNG"
 
@@ -65,6 +66,10 @@ def test_wrong_input_is_refused_in_one_line(
 
 def test_an_output_that_cannot_be_written_is_refused(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "file").touch()
-    output = tmp_path / "file" / "results"
-    line = refusal(main, [str(BAGS / "multisine"), "--output", str(output)], capsys)
+    bag, output = str(BAGS / "multisine"), tmp_path / "file" / "results"
+    line = refusal(main, [bag, "--output", str(output)], capsys)
     assert line == f"demo: cannot write into '{output / 'demo_multisine'}': Not a directory"
+    taken = tmp_path / "demo_multisine"
+    with reserved(taken):
+        line = refusal(main, [bag, "--output", str(tmp_path)], capsys)
+    assert line.startswith(f"demo: another replay writes into '{taken}': wait for its end")
