@@ -162,8 +162,8 @@ class OfflineRun:
         self._feeds: dict[str, Feed] = {}
         self._newest_ns: int | None = None
         self._learned = -1  # Index of the last tick that learned; the last tick if none did
-        # time base, delay and lag of each estimate
-        self._contexts: list[tuple[int, float, float]] = []
+        # Indices of the estimates of each time base with each delay and lag
+        self._ticks_of: dict[tuple[int, float, float], list[int]] = defaultdict(list)
 
     def run(
         self,
@@ -213,12 +213,11 @@ class OfflineRun:
     def _tick(self) -> None:
         identifier = self.identifier
         for estimate in identifier.advance():
+            index = len(self.estimates)
             if identifier.idle == 0.0 and identifier.speed_believed:
-                self._learned = len(self.estimates)
+                self._learned = index
+            self._ticks_of[self.era, identifier.delay, identifier.lag].append(index)
             self.estimates.append(estimate)
-            context = (self.era, identifier.delay, identifier.lag)
-            last = self._contexts[-1] if self._contexts else None
-            self._contexts.append(last if last == context else context)
 
     # -- results ---------------------------------------------------------------------------
 
@@ -276,20 +275,18 @@ class OfflineRun:
 
     def stretches(self) -> Iterator[Stretch]:
         """Yield measurements and estimates of every time base and every delay."""
-        imu, contexts = self.inputs.settings.imu, sorted(set(self._contexts))
+        imu = self.inputs.settings.imu
         arm, frame = np.array(imu.lever_arm), BodyFrame(imu)
         measured = {}
-        for era in {era for era, *_ in contexts}:
+        for era in {era for era, *_ in self._ticks_of}:
             t_ns, values = self._rates.of_era(era)
             force = frame.to_body(values[:, 3:])[:, 1:].copy()
             measured[era] = t_ns, frame.to_body(values[:, :3]), force
-        for context in contexts:
-            era, delay, lag = context
+        for (era, delay, lag), which in sorted(self._ticks_of.items()):
             t_ns, rates, force = measured[era]
             raw_t_ns, raw = self._actuators.of_era(era)
             # The identifier's own map has the trim that it may have learned in flight.
             u = self.identifier.sampler.input_map.apply(raw)
-            which = np.flatnonzero([other == context for other in self._contexts])
             yield Stretch(
                 t_ns, rates, InputSignal(raw_t_ns, u, delay, lag), force, arm,
                 era=era, ticks=self.estimates.chosen(which),
