@@ -44,7 +44,6 @@ from uav_ident_ros.offline.job import Job, reserved
 from uav_ident_ros.offline.parallel import work
 from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.tables import duration_of, write_table
-from uav_ident_ros.offline.ticks import Ticks, write_estimates
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
 IMU_TYPE, NUMBER, FLAG = "sensor_msgs/msg/Imu", "std_msgs/msg/Float64", "std_msgs/msg/Bool"
@@ -463,7 +462,10 @@ def test_bad_input_is_refused_in_one_line_with_status_2(
     monkeypatch.chdir(tmp_path)
     Path("text.txt").write_text("hello")
     Path("other.yaml").write_text("/a:\n  ros__parameters:\n    update_rate: 20.0\n")
-    Path("kept/estimates/notes").mkdir(parents=True)
+    kept = Path("kept/estimates")
+    kept.mkdir(parents=True)
+    for name in ("estimates.mcap", "notes.txt"):
+        (kept / name).touch()
     monkeypatch.setattr(OfflineRun, "score", None)  # every refusal comes before the work is done
     given = [str(short), *options.split()]
     if line:
@@ -473,6 +475,7 @@ def test_bad_input_is_refused_in_one_line_with_status_2(
     assert printed.startswith("replay: ")
     assert re.search(words, printed), printed
     assert not Path("replay_bag").exists()
+    assert sorted(os.listdir(kept)) == ["estimates.mcap", "notes.txt"]
 
 
 def test_a_second_replay_into_a_folder_is_refused(
@@ -488,18 +491,6 @@ def test_a_second_replay_into_a_folder_is_refused(
         assert not os.listdir(output)
     assert not output.exists()
     assert main(given) == NOT_USABLE
-
-
-def test_only_a_pure_bag_folder_is_replaced(tmp_path: Path) -> None:
-    ticks = Ticks(STRUCTURES["baseline"])
-    path = tmp_path / "estimates"
-    write_estimates(path, ticks, "")
-    write_estimates(path, ticks, "")
-    (path / "notes.txt").write_text("mine")
-    with pytest.raises(Exception, match="is no bag: it is left alone"):
-        write_estimates(path, ticks, "")
-    assert (path / "notes.txt").read_text() == "mine"
-    assert os.listdir(tmp_path) == ["estimates"]
 
 
 def test_without_actuators_there_is_a_table_but_no_score(tmp_path: Path, capsys: Capture) -> None:
