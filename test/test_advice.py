@@ -92,6 +92,7 @@ QUAD = Settings.from_values(
         "actuators.mixing.dth": (0.25,) * 4,
     }
 )
+LINEAR = Settings.from_values({"structure": "augmented", "actuators.interpolation": "linear"})
 MIN_T_RATIO = E.settings.supervision.min_t_ratio
 AT_REST, AT_LIMIT = "at rest: no rate has moved by … rad/s", "channel … is at its limit"
 STILL_RUDDER = {"sigma": with_entry(E.sigma, "rdot/dr", 5.0 / (MIN_T_RATIO * JUST_ABOVE))}
@@ -153,19 +154,20 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      "the rudder never moved"),
     ("wrong_delay", {"delay": SURE, "delay_in_use": SURE.delay - DELAY_OFF * JUST_BELOW},
      {"delay": replace(SURE, delay=0.08), "delay_in_use": 0.0},
-     r"the command seems to lead by 80 ms: set 'actuators\.delay' to 0\.080 \(0\.000 in use\)"),
+     r"act 80 ms later .*: set 'actuators\.delay' to 0\.080, or 'actuators\.estimate_delay' to"),
     ("wrong_delay", {"delay_in_use": SURE.delay + DELAY_OFF * JUST_BELOW},
-     {"delay_in_use": SURE.delay + DELAY_OFF * JUST_ABOVE},
-     "the delay in use seems to be 20 ms too long"),
+     {"delay_in_use": SURE.delay + DELAY_OFF * JUST_ABOVE}, "act 20 ms earlier than"),
     ("wrong_delay", {"delay": UNSURE, "delay_in_use": 0.2}, {"delay": SURE, "delay_in_use": 0.2},
-     "170 ms too long"),
+     "170 ms earlier"),
     ("wrong_delay", {"delay": replace(SURE, delay=-DELAY_OFF * JUST_BELOW), "delay_in_use": 0.0},
      {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0},  # delays are not negative
-     r"act 42 ms before their stamps \(0\.000 s of delay in use\): correct the stamps, or lower "
-     r"'actuators\.time_constant'$"),
+     r"42 ms earlier .* say: correct their stamps, or lower 'actuators\.time_constant'$"),
     ("wrong_delay", {"delay": UNSURE, "actuator_rate": 10.0},
      {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0, "actuator_rate": 10.0},
-     "; at 10 Hz they are held 50 ms too long$"),
+     "they come every 100 ms and are held until then: publish them more often, or .* 'linear'$"),
+    ("wrong_delay", {"delay": UNSURE, "settings": LINEAR, "actuator_rate": 10.0},  # not held
+     {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0, "settings": LINEAR,
+      "actuator_rate": 10.0}, "say: correct their stamps"),
     ("unknown_delay", {"settings": FINDING, "delay": SURE}, {"settings": FINDING, "delay": UNSURE},
      r"does not show the delay of the inputs \(30 ms, sigma 3 ms; 0\.030 s in use\).* 3-2-1-1"),
     ("unknown_delay", {"delay": NO_ESTIMATE},  # configured
@@ -186,7 +188,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("wrong_lag", {"delay": replace(SPLIT, lag_sigma=0.015)}, {"delay": SPLIT},
      "'actuators.time_constant' to 0.050 and 'actuators.delay' to 0.012"),
     ("wrong_delay", {"delay": replace(SPLIT, delay=0.06)},
-     {"delay": replace(SPLIT, delay=0.06, lag=0.0)}, "lead by 30 ms"),
+     {"delay": replace(SPLIT, delay=0.06, lag=0.0)}, "30 ms later"),
     ("assumed_airspeed", {"settings": Settings.from_values({"airspeed.reference": 20.1})},
      {"settings": Settings()},
      "no airspeed is measured, and 'airspeed.reference' is the default, 20 m/s: set it to"),

@@ -152,27 +152,13 @@ def wrong_setup(e: Evidence) -> Iterator[str]:
 
 
 def wrong_delay(e: Evidence) -> Iterator[str]:
-    """Yield advice if the estimated delay contradicts the one in use."""
-    off = e.delay.off(e.delay_in_use)
-    if abs(off) <= DELAY_OFF or e.delay.lag_off(e.lag_in_use):
+    """Yield the problem, as in the verdict, if the estimated delay contradicts the one in use."""
+    if abs(e.delay.off(e.delay_in_use)) <= DELAY_OFF or e.delay.lag_off(e.lag_in_use):
         return
-    if e.delay.delay < 0.0:
-        held = 0.5 / e.actuator_rate if 0.0 < e.actuator_rate < SLOW_ACTUATORS else 0.0
-        seldom = f"; at {e.actuator_rate:.0f} Hz they are held {1e3 * held:.0f} ms too long"
-        yield (
-            f"the inputs act {-1e3 * e.delay.delay:.0f} ms before their stamps "
-            f"({e.delay_in_use:.3f} s of delay in use): correct the stamps, or lower "
-            f"'actuators.time_constant'{seldom if held else ''}"
-        )
-        return
-    if off > 0.0:
-        found = f"the command seems to lead by {1e3 * off:.0f} ms"
-    else:
-        found = f"the delay in use seems to be {-1e3 * off:.0f} ms too long"
-    yield (
-        f"{found}: set 'actuators.delay' to {e.delay.delay:.3f} ({e.delay_in_use:.3f} in use), "
-        "or 'actuators.estimate_delay' to true"
-    )
+    is_held = e.actuator_rate > 0.0 and e.settings.actuators.interpolation != "linear"
+    problem = e.delay.contradiction(e.delay_in_use, 0.5 / e.actuator_rate if is_held else 0.0)
+    also = ", or 'actuators.estimate_delay' to true" if "set 'actuators.delay'" in problem else ""
+    yield f"{problem}{also}"
 
 
 def wrong_lag(e: Evidence) -> Iterator[str]:
