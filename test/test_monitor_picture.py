@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from excerpts import SECOND_NS
 from rich.console import Console
 
 from uav_ident_ros.bags.writing import joint_state
@@ -15,8 +16,6 @@ from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import FIT_NAMES, USABLE_NAME, entry_names
 from uav_ident_ros.monitor.picture import picture
 from uav_ident_ros.monitor.watched_node import TREND_TIME, Coefficient, WatchedNode
-
-SECOND_NS = 1_000_000_000
 
 STATUS = {
     "excitation pdot [0..1]": "0.280", "hold p [%]": "-12.0", "hold q [%]": "3.0",
@@ -33,15 +32,6 @@ STATUS = {
 }  # fmt: skip
 
 
-class Watch:
-    """A clock set by the test."""
-
-    now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def published(
     t_ns: int, structure: str, values: dict[str, float], sigma: float = 0.5
 ) -> Coefficients:
@@ -55,10 +45,10 @@ def published(
 
 def received(
     structure: str = "augmented", *, usable: bool = True, scale: float = 1.0
-) -> tuple[WatchedNode, Watch]:
-    """Return a watched node after two ticks and one status."""
-    watch = Watch()
-    result = WatchedNode("/drone1/identifier", watch)
+) -> tuple[WatchedNode, list[float]]:
+    """Return a watched node after two ticks and one status, and its clock, s."""
+    now = [100.0]
+    result = WatchedNode("/drone1/identifier", lambda: now[0])
     names = entry_names(STRUCTURES[structure])
     values = dict(zip(names, (scale * np.linspace(-60.0, 60.0, len(names))).tolist(), strict=True))
     values |= dict(zip(FIT_NAMES, (84.0, 20.0, 86.0), strict=True))
@@ -66,7 +56,7 @@ def received(
     for t_ns in (SECOND_NS, SECOND_NS + 50_000_000):
         result.take(published(t_ns, structure, values))
     result.diagnosed("learning: the 1-second fit of q is 20 %", STATUS)
-    return result, watch
+    return result, now
 
 
 def printed(width: int, encoding: str = "utf-8") -> Console:
@@ -183,9 +173,9 @@ def test_good_and_bad_states_differ_in_colour() -> None:
 
 
 def test_an_old_verdict_is_not_usable() -> None:
-    result, watch = received()
+    result, now = received()
     assert result.usable
-    watch.now += 2.0
+    now[0] += 2.0
     assert not result.usable
     assert "last tick 1.05 s, none since" in text(result)
 
