@@ -385,20 +385,16 @@ def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) ->
 # --- progress ----------------------------------------------------------------------------------
 
 
-def on_a_terminal(arguments: list[str]) -> tuple[int, str]:
-    """Run `replay` with a terminal as its error stream; return status and output."""
-    command = [sys.executable, "-m", "uav_ident_ros", "replay", *arguments]
-    nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
-    with closing(Terminal(command, 100, **nowhere)) as terminal:
-        terminal.read_until("to the end of what is shown", math.inf)
-        return terminal.process.wait(), terminal.received
-
-
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_bag_and_many_have_one_progress_bar(count: int, tmp_path: Path) -> None:
-    bag = str(excerpt(tmp_path / "bag", 8.0))
-    status, shown = on_a_terminal([*[bag] * count, "--output", str(tmp_path / "out")])
-    assert status in (USABLE, NOT_USABLE), shown
+    bags = [str(excerpt(tmp_path / "bag", 8.0))] * count
+    output = ["--output", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "uav_ident_ros", "replay", *bags, *output]
+    nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
+    with closing(Terminal(command, 100, **nowhere)) as terminal:  # for the error stream alone
+        terminal.read_until("to the end of what is shown", math.inf)
+        shown = terminal.received
+        assert terminal.process.wait() in (USABLE, NOT_USABLE), shown
     shares = [int(share) for share in re.findall(r"(\d+)%", shown)]
     assert shares == sorted(shares)
     assert shares[0] == 0 and shares[-1] >= 50

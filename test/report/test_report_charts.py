@@ -18,7 +18,7 @@ from excerpts import SECOND_NS, START_NS, excerpt, parameters
 from uav_ident_ros.files.truth_file import Truth, read_truth
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
-from uav_ident_ros.offline.run import OfflineRun, run_over
+from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.report.charts import (
     GRAVEST,
     coefficient_charts,
@@ -34,13 +34,9 @@ from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> OfflineRun:
-    return run_over(excerpt(tmp_path_factory.mktemp("flight") / "bag", 40.0), parameters())
-
-
-@pytest.fixture(scope="module")
-def flight(run: OfflineRun) -> Flight:
-    return Flight(run)
+def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+    bag = excerpt(tmp_path_factory.mktemp("flight") / "bag", 40.0)
+    return Flight(run_over(bag, parameters()))
 
 
 # --- lines -----------------------------------------------------------------------------------
