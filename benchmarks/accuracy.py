@@ -75,7 +75,7 @@ def _dominant_error(case: cases.Case, track: cases.Track) -> float:
     if flight is None or flight.coefficients is None:
         return float("nan")
     truth = cases.truth_in(track.structure, flight, flight.duration)
-    where = tuple(np.transpose([track.structure.index(name) for name in cases.DOMINANT]))
+    where = cases.places(track.structure, cases.DOMINANT)
     return float(100.0 * np.max(np.abs(track.coefficients[-1][where] / truth[where] - 1.0)))
 
 

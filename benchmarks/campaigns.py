@@ -20,7 +20,7 @@ import padasip
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.regression import Regression, RowSamples
-from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray, Structure
+from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray
 from uav_ident_ros.simulation.flight import Flight
 
 IV, LS = "instrumental_variable", "least_squares"
@@ -48,21 +48,25 @@ def _flown(job: Job, until: float = np.inf) -> tuple[Flight, cases.Track, Result
     return case.flight, track, what
 
 
-def _methods() -> list[tuple[str, str]]:
-    """Return the estimators, with the default structure and with the plant's, which is smaller."""
-    return [(IV, WIDEST), (IV, "throttle_coupled"), (LS, WIDEST)]
+METHODS = ((IV, WIDEST), (IV, "throttle_coupled"), (LS, WIDEST))
+"""Estimators, with the default structure and with the plant's, which is smaller."""
+
+
+def _fly(
+    measure: Callable[[Job], Result],
+    flights: Mapping[str, int],  # With their numbers of seeds
+    methods: Sequence[Sequence[str]],  # Estimators, and structures if not the widest
+    workers: int,
+) -> list[Result]:
+    """Measure all flights with every method and seed."""
+    jobs = [(n, s, *m) for n, c in flights.items() for m in methods for s in range(1, c + 1)]
+    return bench.done(measure, jobs, workers, _line)
 
 
 def _groups(results: Sequence[Result], *keys: str) -> Iterator[tuple[str, list[Result]]]:
     """Yield the results grouped by some keys, with the values of the keys in columns."""
-    groups: dict[str, list[Result]] = {}
-    for result in results:
-        groups.setdefault("".join(f"{result[key]:24}" for key in keys), []).append(result)
-    yield from groups.items()
-
-
-def _index(structure: Structure, names: Sequence[str]) -> tuple[Any, ...]:
-    return tuple(np.transpose([structure.index(name) for name in names]))
+    for values, group in bench.grouped(results, *keys).items():
+        yield "".join(f"{value:24}" for value in values), group
 
 
 def _spread(values: Sequence[float]) -> str:
@@ -80,10 +84,8 @@ CONVERGENCE_FLIGHTS = {"exact_convergence": 32.0, "exact_noise_003": 32.0, "exac
 
 def convergence(seeds: int, workers: int) -> list[Result]:
     """Measure the time of excitation until the six dominant coefficients stay within 10 %."""
-    jobs = [
-        (n, s, *m) for n in CONVERGENCE_FLIGHTS for m in _methods() for s in range(1, seeds + 1)
-    ]
-    results = bench.done(_convergence_of, jobs, workers, _line)
+    names = dict.fromkeys(CONVERGENCE_FLIGHTS, seeds)
+    results = _fly(_convergence_of, names, METHODS, workers)
     for label, group in _groups(results, "flight", "estimator", "structure"):
         times = [r["seconds"] for r in group]
         soon = sum(t <= 7.5 for t in times)
@@ -97,7 +99,7 @@ def convergence(seeds: int, workers: int) -> list[Result]:
 
 def _convergence_of(job: Job) -> Result:
     flight, track, what = _flown(job, CONVERGENCE_FLIGHTS[job[0]])
-    where = _index(track.structure, cases.DOMINANT)
+    where = cases.places(track.structure, cases.DOMINANT)
     truth = cases.truth_in(track.structure, flight)[where]
     off = np.abs(track.coefficients[:, *where] / truth - 1.0) > 0.1
     # The tick after the last one outside; infinite if the last tick is outside.
@@ -113,8 +115,7 @@ def _convergence_of(job: Job) -> Result:
 
 def gusts(seeds: int, workers: int) -> list[Result]:
     """Measure the free-run fit, on a held-out calm flight, of models from gusts of 1 rad/s^2."""
-    jobs = [("exact_gusts_10", s, *m) for m in _methods() for s in range(1, seeds + 1)]
-    results = bench.done(_final_of, jobs, workers, _line)
+    results = _fly(_final_of, {"exact_gusts_10": seeds}, METHODS, workers)
     held_out = cases.load("exact_held_out")
     for result, fit in zip(results, _free_run_fits(held_out, results), strict=True):
         result["fit"] = fit.tolist()
@@ -166,10 +167,8 @@ CLOSED_LOOP = ("exact_closed_loop", "exact_closed_loop_gusts_10")
 
 def coverage(seeds: int, workers: int) -> list[Result]:
     """Measure the share of errors within one and two standard deviations after 120 s."""
-    names = [(name, seeds) for name in OPEN_LOOP]
-    names += [(name, max(1, seeds // 3)) for name in CLOSED_LOOP]
-    jobs = [(n, s, e) for n, count in names for e in (IV, LS) for s in range(1, count + 1)]
-    results = bench.done(_final_of, jobs, workers, _line)
+    names = dict.fromkeys(OPEN_LOOP, seeds) | dict.fromkeys(CLOSED_LOOP, max(1, seeds // 3))
+    results = _fly(_final_of, names, ((IV,), (LS,)), workers)
     for label, group in _groups(results, "flight", "estimator"):
         print(f"{label}{_coverage_line(group)}")
     pooled = [r for r in results if r["flight"] in OPEN_LOOP]
@@ -181,7 +180,7 @@ def coverage(seeds: int, workers: int) -> list[Result]:
 def _ratios(results: Sequence[Result], names: Sequence[str] | None = None) -> FloatArray:
     """Return errors over sigma of the free or the named coefficients, shape (results, k)."""
     structure = STRUCTURES[WIDEST]
-    where = _index(structure, names or structure.names)
+    where = cases.places(structure, names or structure.names)
     out = []
     for result in results:
         error, sigma = (np.array(result[k])[where] for k in ("coefficients", "sigma"))
@@ -216,9 +215,8 @@ QUIET_START = 62.0
 
 def quiet(seeds: int, workers: int) -> list[Result]:
     """Measure the moves of coefficients in ten quiet minutes, in initial sigmas."""
-    names = ("exact_quiet_gusts_03", "exact_quiet_gusts_10")
-    jobs = [(n, s, e) for n in names for e in (IV, LS) for s in range(1, seeds + 1)]
-    results = bench.done(_quiet_of, jobs, workers, _line)
+    names = dict.fromkeys(("exact_quiet_gusts_03", "exact_quiet_gusts_10"), seeds)
+    results = _fly(_quiet_of, names, ((IV,), (LS,)), workers)
     for label, group in _groups(results, "flight", "estimator"):
         moves = [r["move"] for r in group]
         worst = max(group, key=lambda r: r["move"])
@@ -259,10 +257,9 @@ AIRCRAFT_CHANGES = ("c172p_halved_elevator", "c172p_halved_aileron")
 
 def changes(seeds: int, workers: int) -> list[Result]:
     """Measure detection and tracking of a halved control derivative, and moves of the others."""
-    few = max(1, seeds // 5)
-    names = [(n, seeds) for n in PLANT_CHANGES] + [(n, few) for n in AIRCRAFT_CHANGES]
-    jobs = [(n, s, IV) for n, count in names for s in range(1, count + 1)]
-    results = bench.done(_change_of, jobs, workers, _line)
+    names = dict.fromkeys(PLANT_CHANGES, seeds)
+    names |= dict.fromkeys(AIRCRAFT_CHANGES, max(1, seeds // 5))
+    results = _fly(_change_of, names, ((IV,),), workers)
     for label, group in _groups(results, "flight"):
         noticed = [r["noticed"] for r in group]
         followed = [r["followed"] for r in group]
@@ -295,7 +292,7 @@ def _change_of(job: Job) -> Result:
     off = np.flatnonzero(np.abs(track.coefficients[begin:, i, j] / new - 1.0) > 0.15)
     last = begin + int(off[-1]) + 1
     others = [n for n in cases.DOMINANT if n != primary]
-    where = _index(track.structure, others)
+    where = cases.places(track.structure, others)
     allowed = np.maximum(2.0 * track.sigma[begin][where], 0.1 * np.abs(old[where]))
     moved = (np.abs(track.coefficients[begin:, *where] - old[where]) / allowed).max(axis=0)
     own = {name for change in flight.changes for name in change.factors}
@@ -316,8 +313,8 @@ def _rounded(track: cases.Track) -> list[tuple[float, str]]:
 
 def alarms(seeds: int, workers: int) -> list[Result]:
     """Count the covariance resets in 30 minutes without a change."""
-    jobs = [(n, s, IV) for n in ("exact_half_hour", "c172p_half_hour") for s in range(1, seeds + 1)]
-    results = bench.done(_alarms_of, jobs, workers, _line)
+    names = dict.fromkeys(("exact_half_hour", "c172p_half_hour"), seeds)
+    results = _fly(_alarms_of, names, ((IV,),), workers)
     for r in results:
         print(f"{r['flight']:20}seed {r['seed']}: {len(r['changes'])} releases {r['changes']}")
     return results

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice, takewhile
@@ -16,6 +16,7 @@ from bench import ROOT
 from numpy.typing import NDArray
 
 from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -32,7 +33,7 @@ from uav_ident_ros.identification.prior import Start
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, EXCITATION
 from uav_ident_ros.identification.sampling import Block, InputMap, Sampler
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray, Structure
 from uav_ident_ros.messages.feed import IMU_TYPE
 from uav_ident_ros.messages.types import RATES
 from uav_ident_ros.simulation.flight import Flight
@@ -192,7 +193,10 @@ class Track:
     # coefficients, sigma: (K, 3, n) Estimate and standard deviation at each
     coefficients: FloatArray
     sigma: FloatArray
-    learning: NDArray[np.bool_]  # (K, 3) Rows that learned
+    estimates: Sequence[Estimate]  # All of the estimate at each
+    # (K, 3) Rows that learned, and rows whose fit is below that of holding the rate
+    learning: BoolArray
+    losing: BoolArray
     delay: FloatArray  # (K,) Delay in use, s
     changes: list[tuple[float, str]]  # Covariance resets: time, s, and coefficient
     flow: FloatArray | None = None  # As in `Published`
@@ -221,19 +225,22 @@ def identify(
     values: Mapping[str, object],  # Settings besides those for its topics
     make: Callable[[Settings, Start], Estimator] = make_estimator,  # That of the settings
     *,
+    initial: CoefficientSet | None = None,  # Initial coefficients
+    given: Iterable[FloatArray] = (),  # Published excitation, as in `Case.messages`
     until: float = np.inf,  # End of the pass after the first sample, s
 ) -> Track:
     """Run the identifier once over a flight, as the node does."""
     settings = case.settings(values)
-    identifier = OnlineIdentifier(settings, estimator=make)
+    identifier = OnlineIdentifier(settings, initial, estimator=make)
     m = case.samples
     start = int(m.imu_t_ns[0])
     end = m.imu_log_ns[-1] if np.isinf(until) else start + round(until * 1e9)
-    estimates, learning, delays = [], [], []
-    arrived = takewhile(lambda message: message.arrival_ns <= end, case.messages(identifier))
-    for estimate in fed(identifier, arrived):
+    estimates, learning, losing, delays = [], [], [], []
+    messages = case.messages(identifier, given)
+    for estimate in fed(identifier, takewhile(lambda m: m.arrival_ns <= end, messages)):
         estimates.append(estimate)
         learning.append(identifier.supervisor.learning)
+        losing.append(estimate.fit < identifier.running_fit.hold)
         delays.append(identifier.delay)
     t_ns = np.array([estimate.t_ns for estimate in estimates], dtype=np.int64)
     return Track(
@@ -242,11 +249,18 @@ def identify(
         time=(t_ns - start) * 1e-9,
         coefficients=np.array([estimate.coefficients for estimate in estimates]),
         sigma=np.array([estimate.sigma for estimate in estimates]),
+        estimates=estimates,
         learning=np.array(learning),
+        losing=np.array(losing),
         delay=np.array(delays),
         changes=[(c.t - start * 1e-9, c.name) for c in identifier.supervisor.changed],
         flow=Published.of(estimates, identifier.structure).flow,
     )
+
+
+def places(structure: Structure, names: Iterable[str]) -> tuple[Any, ...]:
+    """Return rows and columns of named coefficients."""
+    return tuple(np.transpose([structure.index(name) for name in names]))
 
 
 def given_force(fit: PredictionFit) -> FloatArray:

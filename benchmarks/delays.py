@@ -25,15 +25,13 @@ from uav_ident_ros.identification.flow import FlowObserver
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.sampling import Block
-from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
-from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
-from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight
-from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, Body, QuadrotorFlight
+from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.simulation.noise import Measurements, Sensors
+from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
+from uav_ident_ros.simulation.quadrotor_flight import Body
 
 DURATION = 90.0
 NOISY = Sensors(gyro_noise=0.02, accelerometer_noise=0.1, stamped=True)
-PEAKS = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
 LATE = ((0.0, 0.0), (0.05, 0.0), (0.1, 0.0), (0.15, 0.0), (0.0, 0.06), (0.08, 0.06), (0.02, 0.12),
         (0.15, 0.12))  # fmt: skip
 """Delays and lags, s."""
@@ -51,127 +49,98 @@ SWEEP = (0.0, 0.04, 0.08, 0.1, 0.12, 0.16)
 """Fixed delays of the sweep over recorded flights, s."""
 
 
-Fly = Callable[[], Measurements]
-
-
 class Trial(NamedTuple):
     """A flight for the estimation of delay and lag."""
 
     name: str
-    fly: Fly
+    fly: Callable[[], Measurements]
     excited: bool = True
     published: bool = False  # Whether the injected signal is published
 
 
-def plant(
+FLOWN: dict[str, tuple[str, dict[str, Any]]] = {
+    "light_aircraft": ("light, {late}, wind {wind:g} m/s", {"bank": 20.0}),
+    "c172p": ("c172p, {delay:.0f} ms, turbulence {wind}", {"bank": 20.0}),
+    "small_uav": (
+        "plant, {late}, gusts {wind:g} rad/s^2",
+        {"sensors": NOISY, "excitation": ((0.0, DURATION),)},
+    ),
+    QUADROTOR: (
+        "quadrotor, {late}, gusts {wind:g} rad/s^2",
+        {"sensors": replace(NOISY, rate=100.0), "band": (0.2, 4.0), "period": 20.0},
+    ),
+}
+"""Name of the trial and arguments of `fly` for each aircraft."""
+
+
+def flown(
     seed: int,
+    aircraft: str,
     delay: float,
     lag: float,
-    gusts: float,
-    closed: bool,
-    excitation: Sequence[tuple[float, float]] = ((0.0, DURATION),),
-    duration: float = DURATION,
-) -> Measurements:
-    """Fly the aircraft of the paper's structure."""
-    segments = [
-        Segment("multisine", start, until - start, PEAKS, seed=seed) for start, until in excitation
-    ]
-    flight = PlantFlight(
-        segments, duration, rate=200.0, max_step=2.5e-3,
-        delay=delay, time_constant=lag, gusts=ColouredNoise(gusts, 0.3), autopilot=closed,
-        seed=seed,
-    )  # fmt: skip
-    return measure(flight.fly(), NOISY, seed)
-
-
-def quadrotor(
-    seed: int,
-    delay: float,
-    gusts: float,
-    lag: float = Body.time_constant,
-    excited: float = 1e3,
-    duration: float = DURATION,
-    surfaces: Sequence[str] = INPUTS,
-    period: float = 20.0,
-) -> Measurements:
-    """Fly the quadrotor in hover, excited for `excited` s from 2 s on."""
-    peaks = {name: AMPLITUDES[name] for name in surfaces}
-    segment = Segment("multisine", 2.0, excited, peaks, period, (0.2, 4.0), seed=seed)
-    flight = QuadrotorFlight(
-        (segment,), duration, 500.0, delay=delay, time_constant=lag,
-        gusts=ColouredNoise(gusts, 0.3), seed=seed,
-    )  # fmt: skip
-    return measure(flight.fly(), replace(NOISY, rate=100.0), seed)
-
-
-def _aircraft(name: str, seed: int, delay: float, lag: float, wind: float, **more: Any) -> Fly:
-    """Return a function that flies an aircraft in turns on its autopilot."""
-    return partial(fly, name, seed, bank=20.0, wind=wind, delay=delay, time_constant=lag, **more)
-
-
-def _late(delay: float, lag: float) -> str:
-    return f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms"
+    wind: float,
+    name: str = "",  # Of the trial, if not by `FLOWN`
+    *,
+    excited: bool = True,
+    published: bool = False,
+    **more: Any,
+) -> Trial:
+    """Return a trial of an aircraft; `more` are arguments of `fly`."""
+    text, own = FLOWN[aircraft]
+    late = f"{1e3 * delay:.0f} + {1e3 * lag:.0f} ms"
+    name = (name or text).format(late=late, delay=1e3 * delay, wind=wind)
+    own = {"duration": DURATION, **own, **more}
+    flight = partial(fly, aircraft, seed, wind=wind, delay=delay, time_constant=lag, **own)
+    return Trial(name, flight, excited, published)
 
 
 def trials(seed: int) -> Iterator[Trial]:
     """Yield flights in open and closed loop, some without excitation."""
-    light = partial(_aircraft, "light_aircraft", seed, duration=DURATION)
-    flight: Fly
+    of = partial(flown, seed)
     for delay, lag in LATE:
-        for gusts in (0.0, 0.5, 1.0):
-            flight = light(delay, lag, gusts, excitation=((2.0, DURATION),))
-            yield Trial(f"light, {_late(delay, lag)}, wind {gusts:g} m/s", flight)
-        for gusts in (0.3, 1.0):
-            closed = gusts > 0.5 or lag > 0.0
-            flight = partial(plant, seed, delay, lag, gusts, closed)
-            yield Trial(f"plant, {_late(delay, lag)}, gusts {gusts:g} rad/s^2", flight)
-    for turbulence, delay in product((0, 3, 5), (0.0, 0.06, 0.15)):
-        flight = _aircraft("c172p", seed, delay, 0.0, turbulence, duration=DURATION)
-        yield Trial(f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}", flight)
-    for gusts, delay in product((0.0, 0.1, 0.3, 1.0), (0.012, 0.06)):
-        flight = partial(quadrotor, seed, delay, gusts)
-        yield Trial(f"quadrotor, {_late(delay, 0.05)}, gusts {gusts:g} rad/s^2", flight)
-    stiff: dict[str, float] = {"roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
-    for gusts in (0.3, 1.0):
-        flight = partial(plant, seed, 0.06, 0.0, gusts, True, ())
-        yield Trial(f"plant, feedback, gusts {gusts:g}", flight, excited=False)
-        for label, more in (("feedback", {}), ("stiff feedback", stiff)):
-            flight = light(0.05, 0.0, gusts, excitation=(), **more)
-            yield Trial(f"light, {label}, wind {gusts:g}", flight, excited=False)
+        for wind in (0.0, 0.5, 1.0):
+            yield of("light_aircraft", delay, lag, wind, excitation=((2.0, DURATION),))
+        for wind in (0.3, 1.0):
+            yield of("small_uav", delay, lag, wind, autopilot=wind > 0.5 or lag > 0.0)
+    for severity, delay in product((0, 3, 5), (0.0, 0.06, 0.15)):
+        yield of("c172p", delay, 0.0, severity)
+    for wind, delay in product((0.0, 0.1, 0.3, 1.0), (0.012, 0.06)):
+        yield of(QUADROTOR, delay, Body.time_constant, wind)
+    quiet = partial(of, excitation=(), excited=False)
+    stiff = {"roll_gust": 0.5, "roll_gain": 0.8, "yaw_damper": 0.3}
+    for wind in (0.3, 1.0):
+        yield quiet("small_uav", 0.06, 0.0, wind, "plant, feedback, gusts {wind:g}", autopilot=True)
+        for name, more in (("feedback", {}), ("stiff feedback", stiff)):
+            yield quiet(
+                "light_aircraft", 0.05, 0.0, wind, f"light, {name}, wind {{wind:g}}", **more
+            )
 
 
 def published_trials(seed: int) -> Iterator[Trial]:
     """Yield flights under autopilots that publish the injected signal."""
-    surfaces, end = ("de", "dr", "da"), EXCITED + 2.0
-    flight: Fly
-    for gusts, lag in product((0.0, 0.1, 0.2, 0.5, 1.0), (0.03, 0.05, 0.08)):
-        name = f"quadrotor, {_late(0.012, lag)}, gusts {gusts:g} rad/s^2"
-        flight = partial(quadrotor, seed, 0.012, gusts, lag, EXCITED, end, surfaces, 10.0)
-        yield Trial(name, flight, published=True)
-    for kind, airs in (("light", (0.0, 0.5, 1.0)), ("c172p", (0, 2, 4))):
-        aircraft = "light_aircraft" if kind == "light" else kind
-        for air, delay, lag in product(airs, (0.0, 0.06, 0.1), (0.0, 0.06, 0.12)):
-            flight = _aircraft(
-                aircraft, seed, delay, lag, air, excitation=((2.0, end),), duration=end,
-                surfaces=surfaces, band=(0.2, 2.0),
-            )  # fmt: skip
-            yield Trial(f"{kind}, {_late(delay, lag)}, wind {air:g}", flight, published=True)
+    end = EXCITED + 2.0
+    of = partial(
+        flown, seed, published=True, excitation=((2.0, end),), duration=end,
+        surfaces=("de", "dr", "da"), period=10.0,
+    )  # fmt: skip
+    for wind, lag in product((0.0, 0.1, 0.2, 0.5, 1.0), (0.03, 0.05, 0.08)):
+        yield of(QUADROTOR, 0.012, lag, wind)
+    for name, aircraft, winds in (
+        ("light", "light_aircraft", (0.0, 0.5, 1.0)), ("c172p", "c172p", (0, 2, 4)),
+    ):  # fmt: skip
+        text = f"{name}, {{late}}, wind {{wind:g}}"
+        for wind, delay, lag in product(winds, (0.0, 0.06, 0.1), (0.0, 0.06, 0.12)):
+            yield of(aircraft, delay, lag, wind, text, band=(0.2, 2.0))
 
 
 def quiet_trials(seed: int) -> Iterator[Trial]:
     """Yield flights with a long quiet part."""
-    spans: dict[str, Any] = {
-        "excitation": ((2.0, EXCITED), (QUIET_UNTIL, LONG)), "duration": LONG,
-    }  # fmt: skip
-    flight: Fly
-    for (delay, lag), gusts in product(((0.0, 0.0), (0.06, 0.0), (0.08, 0.06)), (0.3, 1.0)):
-        flight = partial(plant, seed, delay, lag, gusts, True, **spans)
-        yield Trial(f"plant, {_late(delay, lag)}, gusts {gusts:g} rad/s^2", flight)
-        flight = _aircraft("light_aircraft", seed, delay, lag, gusts, **spans)
-        yield Trial(f"light, {_late(delay, lag)}, wind {gusts:g} m/s", flight)
-    for turbulence, delay in product((2, 4), (0.0, 0.06)):
-        flight = _aircraft("c172p", seed, delay, 0.0, turbulence, **spans)
-        yield Trial(f"c172p, {1e3 * delay:.0f} ms, turbulence {turbulence}", flight)
+    of = partial(flown, seed, excitation=((2.0, EXCITED), (QUIET_UNTIL, LONG)), duration=LONG)
+    for (delay, lag), wind in product(((0.0, 0.0), (0.06, 0.0), (0.08, 0.06)), (0.3, 1.0)):
+        yield of("small_uav", delay, lag, wind, autopilot=True)
+        yield of("light_aircraft", delay, lag, wind)
+    for severity, delay in product((2, 4), (0.0, 0.06)):
+        yield of("c172p", delay, 0.0, severity)
 
 
 class Result(NamedTuple):

@@ -58,7 +58,7 @@ def main() -> None:
     assert case.flight is not None
     identifier = OnlineIdentifier(case.settings({"actuators.estimate_delay": True}))
     truth = cases.truth_in(identifier.structure, case.flight)
-    dominant = tuple(np.array([identifier.structure.index(n) for n in cases.DOMINANT]).T)
+    dominant = cases.places(identifier.structure, cases.DOMINANT)
     times: list[float] = []
     hour, start = 1, int(case.samples.imu_t_ns[0])
     print(f"memory at the start, the flight in it, {bench.resident_mb():.1f} MiB")

@@ -23,9 +23,7 @@ import numpy as np
 import verdict_flights
 from light_aircraft import GUST_TIME, ROLL_GUST_TIME, SPEED, TRUTH
 
-from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.filters import expm
-from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.prior import weak_sigma
 from uav_ident_ros.identification.structure import (
     FORCE_ROWS,
@@ -35,8 +33,6 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 from uav_ident_ros.simulation.flight import Flight
-from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.noise import fed, measure
 
 GUSTS = {"light": 0.3, "moderate": 0.8, "heavy": 1.5}
 """Wind on each axis, m/s rms, at 20 m/s."""
@@ -82,24 +78,6 @@ class Found:
     known: float  # Share of the ticks with a known control derivative
     usable: float  # Share of the ticks with a usable row
     wrong: float  # ... whose control derivative has an error of more than half
-
-
-def fly(gusts: str, seed: int, excited: bool) -> Flight:
-    """Fly a flight of the light aircraft."""
-    segments = (Segment("multisine", START, DURATION, PEAKS, 10.0, BAND, seed=seed),)
-    spec = light_aircraft.LightFlight(
-        segments if excited else (), DURATION, bank=20.0, gust=GUSTS[gusts],
-        delay=verdict_flights.DELAY, seed=seed,
-    )  # fmt: skip
-    return spec.fly()
-
-
-def identify(flight: Flight, seed: int) -> list[Estimate]:
-    """Identify a flight as the node does, without initial coefficients; return all estimates."""
-    case = cases.measured(measure(flight, verdict_flights.SENSORS, seed))
-    identifier = OnlineIdentifier(case.settings({}))
-    given = flight.injected if flight.excitation else ()
-    return list(fed(identifier, case.messages(identifier, given)))
 
 
 def covariances(flight: Flight, gust: float) -> FloatArray:
@@ -187,13 +165,16 @@ def drawn(covariance: FloatArray, seed: int) -> FloatArray:
 def judge(job: tuple[str, int, bool]) -> Found:
     """Fly and identify one flight, and compute its bound."""
     gusts, seed, excited = job
-    flight = fly(*job)
-    estimates = identify(flight, seed)
+    m = verdict_flights.fly(
+        "light_aircraft", seed, excitation=((START, START + DURATION),) if excited else (),
+        band=BAND, peaks=PEAKS, duration=DURATION, bank=20.0, wind=GUSTS[gusts],
+    )  # fmt: skip
+    flight = m.flight
+    track = cases.identify(cases.measured(m), {}, given=flight.injected if excited else ())
     truth = np.array([TRUTH[name] for name in DOMINANT])
-    places = tuple(zip(*map(STRUCTURE.index, DOMINANT), strict=True))
-    values = np.array([e.coefficients[places] for e in estimates])
-    sigmas = np.array([e.sigma[places] for e in estimates])
-    usable = np.array([e.usable_rows for e in estimates])
+    rows, columns = cases.places(STRUCTURE, DOMINANT)
+    values, sigmas = track.coefficients[:, rows, columns], track.sigma[:, rows, columns]
+    usable = np.array([e.usable_rows for e in track.estimates])
     errors, allowed = np.abs(values - truth), NEAR * np.abs(truth)
     first = round(START * RATE / TICK)
     bound = {}

@@ -23,10 +23,9 @@ from verdict_flights import GLITCH_TIME, Trial
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.offline.run import run_over
-from uav_ident_ros.simulation.noise import Measurements, fed
+from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.recording import PARAMETER_FILE, write_bag
 
 MAIN = ("pdot/da", "qdot/de", "rdot/dr")
@@ -116,8 +115,8 @@ def run(trial: Trial, structure_name: str) -> Outcome:
     case = flown if isinstance(flown, cases.Case) else cases.measured(flown)
     flight = case.flight  # None of a recorded flight, without truth
     named = {"structure": structure_name} if structure_name else {}
-    settings = case.settings({**named, **trial.settings})
-    structure = STRUCTURES[settings.structure]
+    values = {**named, **trial.settings}
+    structure = STRUCTURES[case.settings(values).structure]
     initial = None
     if trial.warm:
         assert flight is not None
@@ -129,14 +128,10 @@ def run(trial: Trial, structure_name: str) -> Outcome:
         assert isinstance(flown, Measurements)
         estimates = _replay(flown, named, initial)
     else:
-        identifier = OnlineIdentifier(settings, initial)
-        both = [
-            (estimate, estimate.fit < identifier.running_fit.hold)
-            for estimate in fed(identifier, case.messages(identifier))
-        ]
-        estimates, losing = [e for e, _ in both], np.array([worse for _, worse in both])
+        track = cases.identify(case, values, initial=initial)
+        estimates, losing = track.estimates, track.losing
     time = np.array([(e.t_ns - int(case.samples.imu_t_ns[0])) * 1e-9 for e in estimates])
-    values = np.array([e.coefficients for e in estimates])
+    found = np.array([e.coefficients for e in estimates])
     sigma = np.array([e.sigma for e in estimates])
     usable = np.array([e.usable_rows for e in estimates], dtype=bool)
     reasons = [e.reason for e in estimates]
@@ -145,13 +140,13 @@ def run(trial: Trial, structure_name: str) -> Outcome:
     wrong_sign = wrong.copy()
     last = {}
     for row, name in enumerate(MAIN):
-        value, spread = whole(structure, true[0], name, values, sigma)
+        value, spread = whole(structure, true[0], name, found, sigma)
         truth = np.array([at.get(name, np.nan) for at in true])
         far, sign = judge(value, spread, truth)
         wrong |= usable[:, row] & far
         wrong_sign |= usable[:, row] & sign
         last[name] = (float(value[-1]), float(spread[-1]), float(truth[-1]))
-    within, counted = _coverage(structure, true, values, sigma, time)
+    within, counted = _coverage(structure, true, found, sigma, time)
     every = usable.all(axis=1)
     return Outcome(
         trial.kind, trial.name, trial.seed,

@@ -20,10 +20,13 @@ from uav_ident_ros.identification.structure import INPUTS, ROWS, FloatArray, Str
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
-from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import FRD_TO_FLU, Measurements, Sensors, measure
+from uav_ident_ros.simulation.plant import PlantFlight
+from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
+from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 
 EXCITED, CHANGED = 60.0, 75.0
 """End of the excitation in the flights of ``old_knowledge``, and time of the failure, s."""
@@ -34,8 +37,12 @@ GLITCH_TIME, GLITCH = 75.0, 34.9
 LONG, SHORT = 1.0, 0.8
 """Relative length of the flights; `SHORT` still includes the failure and the glitch."""
 
-PEAKS = {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1}
-"""Peak excitation of the light aircraft, rad and throttle; the others' are in their files."""
+PEAKS: Mapping[str, Mapping[str, float]] = {
+    "light_aircraft": {"de": 0.06, "dr": 0.08, "da": 0.06, "dth": 0.1},
+    "small_uav": {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2},
+    QUADROTOR: AMPLITUDES,
+}
+"""Peak excitation, rad and throttle; that of JSBSim's aircraft is in their files."""
 
 RANDOM_FLIGHTS = 40
 """Number of flights of aircraft drawn at random, for each seed."""
@@ -130,36 +137,41 @@ def _as_it_is(measured: Measurements) -> Measurements:
 
 
 def fly(
-    aircraft: str,
+    aircraft: str,  # ``light_aircraft``, ``small_uav``, ``quadrotor`` in hover, or one of JSBSim
     seed: int,
     *,
     excitation: Sequence[tuple[float, float]] = ((2.0, 1e3),),  # All the time by default
     inputs: str = "multisine",
     band: tuple[float, float] = (0.1, 2.0),  # Of the multisines, Hz
+    period: float | None = None,  # Of the multisines, s: two of their lowest frequency by default
     surfaces: Sequence[str] = INPUTS,  # The excited inputs
+    peaks: Mapping[str, float] | None = None,  # Of the excitation, if not the aircraft's own
     scale: float = 1.0,
     duration: float = 120.0,
-    bank: float = 0.0,
-    wind: float = 0.0,  # m/s rms; for JSBSim aircraft the severity 0 to 7
+    # m/s rms; for JSBSim's aircraft the severity 0 to 7, for plant and quadrotor gusts, rad/s^2
+    wind: float = 0.0,
     changes: tuple[CoefficientChange, ...] = (),
     delay: float = DELAY,
     time_constant: float = 0.0,
     sensors: Sensors = SENSORS,
     spoil: Spoil = _as_it_is,
-    **light: Any,
+    **own: Any,  # Fields of the aircraft's plan
 ) -> Measurements:
-    """Fly the light aircraft or one of JSBSim on its autopilot; return the measurements."""
-    own = PEAKS if aircraft == "light_aircraft" else airframe(aircraft).excitation
-    peaks = {name: scale * peak for name, peak in own.items() if name in surfaces}
+    """Fly an aircraft, all but the plant on an autopilot; return the measurements."""
+    peaks = peaks or PEAKS.get(aircraft) or airframe(aircraft).excitation
+    peaks = {name: scale * peak for name, peak in peaks.items() if name in surfaces}
     segments = [
-        Segment(inputs, start, until - start, peaks, 2.0 / band[0], band, seed=seed)
+        Segment(inputs, start, until - start, peaks, period or 2.0 / band[0], band, seed=seed)
         for start, until in excitation
     ]
-    common: dict[str, Any] = {
-        "bank": bank, "delay": delay, "time_constant": time_constant, "seed": seed
-    }  # fmt: skip
+    own |= {"delay": delay, "time_constant": time_constant, "seed": seed}
+    gusts = ColouredNoise(wind, 0.3)
     if aircraft == "light_aircraft":
-        plan: Plan = LightFlight(segments, duration, gust=wind, changes=changes, **common, **light)
+        plan: Plan = LightFlight(segments, duration, gust=wind, changes=changes, **own)
+    elif aircraft == "small_uav":
+        plan = PlantFlight(segments, duration, 200.0, gusts=gusts, max_step=2.5e-3, **own)
+    elif aircraft == QUADROTOR:
+        plan = QuadrotorFlight(segments, duration, 500.0, gusts=gusts, **own)
     else:
         faults = [
             Fault("effect", SURFACE_NAMES[INPUTS.index(name)], factor, change.time)
@@ -168,7 +180,7 @@ def fly(
         ]
         plan = AircraftFlight(
             segments, duration, 200.0, 50.0, aircraft=aircraft, turbulence=int(wind),
-            faults=faults, **common,
+            faults=faults, **own,
         )  # fmt: skip
     return spoil(measure(replace(plan.fly(), changes=changes), sensors, seed))
 
