@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice, takewhile
-from pathlib import Path
 from typing import Any
 
 import flights
@@ -142,38 +141,32 @@ def is_recorded(name: str) -> bool:
 def recorded(name: str) -> Case:
     """Return a recorded real flight."""
     read = RATES[IMU_TYPE]
-    imu, actuators, airspeed = [], [], []
-    with Bag(Path(RECORDED / name)) as bag:
-        topics = [topic for topic in TOPICS if topic in bag.types]
-        decode = {topic: bag.decoder(topic) for topic in topics}
-        for topic, log_ns, data in bag.messages(topics):
-            message = decode[topic](data)
-            if topic == RATES_TOPIC:
-                reading = read(message)
-                imu.append((reading[0], log_ns, reading[1], reading[2] or (0.0, 0.0, 0.0)))
-            elif topic == ACTUATORS_TOPIC:
-                actuators.append((log_ns, list(message.data)))
-            else:
-                airspeed.append((log_ns, message.data))
-    arrivals = np.array([row[0] for row in actuators], dtype=np.int64)
-    first = np.unique(arrivals, return_index=True)[1]
-    spoken = np.array([row[0] for row in airspeed], dtype=np.int64)
+    received: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
+    log_ns: dict[str, list[int]] = {topic: [] for topic in TOPICS}
+    with Bag(RECORDED / name) as bag:
+        decode = {topic: bag.decoder(topic) for topic in TOPICS if topic in bag.types}
+        for message in bag.messages(decode):
+            received[message.topic].append(decode[message.topic](message.data))
+            log_ns[message.topic].append(message.log_ns)
+    stamps, rates, forces, *_ = zip(*map(read, received[RATES_TOPIC]), strict=True)
+    imu_ns, sent_ns, spoken = (np.array(log_ns[topic], dtype=np.int64) for topic in TOPICS)
+    sent_ns, first = np.unique(sent_ns, return_index=True)
     known = {
         "actuators.channels": (0, 1, 2, 3),
         "actuators.delay": RECORDED_DELAY.get(name, 0.0),
         "airspeed.reference": RECORDED_SPEED,
     }
     samples = Samples(
-        imu_t_ns=np.array([row[0] for row in imu], dtype=np.int64),
-        imu_log_ns=np.array([row[1] for row in imu], dtype=np.int64),
-        rates=np.array([row[2] for row in imu]),
-        specific_force=np.array([row[3] for row in imu]),
-        actuator_t_ns=arrivals[first],
-        actuator_log_ns=arrivals[first],
-        actuators=np.array([row[1] for row in actuators])[first],
+        imu_t_ns=np.array(stamps, dtype=np.int64),
+        imu_log_ns=imu_ns,
+        rates=np.array(rates),
+        specific_force=np.array([force or (0.0, 0.0, 0.0) for force in forces]),
+        actuator_t_ns=sent_ns,
+        actuator_log_ns=sent_ns,
+        actuators=np.array([list(m.data) for m in received[ACTUATORS_TOPIC]])[first],
         airspeed_t_ns=spoken,
         airspeed_log_ns=spoken,
-        airspeed=np.array([row[1] for row in airspeed]),
+        airspeed=np.array([m.data for m in received[AIRSPEED_TOPIC]]),
     )
     return Case(known, samples)
 

@@ -13,12 +13,12 @@ the dominant derivatives.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from itertools import product
 from typing import Any
 
 import bench
+import cases
 import numpy as np
 from loop import Loop
 from verdict_flights import UNTOLD
@@ -60,22 +60,8 @@ DOMINANT = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Found:
-    """Result of one flight."""
-
-    severity: str
-    seed: int
-    excited: bool
-    why: str
-    seconds: float
-    rate: float
-    attitude: float
-    tracking: tuple[float, ...]
-    errors: dict[str, float]
-    """Relative errors of the dominant derivatives."""
-    sigmas: dict[str, float]
-    """The same errors in sigmas."""
+Found = dict[str, Any]
+"""Results of one flight."""
 
 
 class Flight:
@@ -84,12 +70,9 @@ class Flight:
     def __init__(
         self, severity: int, seed: int, name: str = AIRCRAFT, *, untold: bool = False
     ) -> None:
-
-        def parameters(node: str) -> dict[str, Any]:
-            return load_parameters(CONFIG / f"{name}.yaml", node)
-
-        identified, guided, controlled = map(
-            parameters, ("identifier", "rate_reference", "controller")
+        nodes = ("identifier", "rate_reference", "controller")
+        identified, guided, controlled = (
+            dict[str, Any](load_parameters(CONFIG / f"{name}.yaml", node)) for node in nodes
         )
         identified |= {
             "excitation.lead": LEAD, "excitation.duration": LONGEST, "imu.convention": "frd"
@@ -157,21 +140,20 @@ def fly(job: tuple[str, int, bool]) -> Found:
     seen = np.array(rows)
     limits = flight.settings.excitation
     truth = cruise_derivatives(AIRCRAFT, flight.settings.airspeed.reference)
+    true = np.array([truth[name] for name in DOMINANT])
     learned = flight.identifier.coefficient_set()
-    errors, sigmas = {}, {}
-    for name in DOMINANT:
-        index = flight.identifier.structure.index(name)
-        error = float(learned.values[index]) - truth[name]
-        errors[name] = error / abs(truth[name])
-        sigmas[name] = error / max(float(learned.sigma[index]), 1e-12)
-    return Found(
-        severity, seed, excited, flight.run.why,
-        (flight.aircraft.time if ended is None else ended) - START,
-        float(np.abs(seen[:, :3]).max() / limits.max_rate),
-        float(np.abs(seen[:, 3:5]).max() / limits.max_attitude),
-        tuple(np.degrees(np.sqrt(np.mean(seen[:, 5:] ** 2, axis=0))).tolist()),
-        errors, sigmas,
-    )  # fmt: skip
+    places = cases.places(flight.identifier.structure, DOMINANT)
+    error = learned.values[places] - true
+    return {
+        "severity": severity, "seed": seed, "excited": excited, "why": flight.run.why,
+        "seconds": (flight.aircraft.time if ended is None else ended) - START,
+        "rate": float(np.abs(seen[:, :3]).max() / limits.max_rate),
+        "attitude": float(np.abs(seen[:, 3:5]).max() / limits.max_attitude),
+        "tracking": np.degrees(np.sqrt(np.mean(seen[:, 5:] ** 2, axis=0))).tolist(),
+        # of the dominant derivatives: relative, and in sigmas
+        "errors": (error / np.abs(true)).tolist(),
+        "sigmas": (error / np.maximum(learned.sigma[places], 1e-12)).tolist(),
+    }  # fmt: skip
 
 
 def lose_a_motor(seed: int, *, untold: bool) -> dict[str, Any]:
@@ -231,20 +213,20 @@ HEAD = (
 
 def rows(found: list[Found]) -> Iterator[Sequence[str]]:
     """Yield the rows of the table."""
-    for severity, excited in product(SEVERITIES, (False, True)):
-        some = [f for f in found if f.severity == severity and f.excited == excited]
-        if not some:
-            continue
-        rate, attitude = ([getattr(f, name) for f in some] for name in ("rate", "attitude"))
-        left = sum(max(f.rate, f.attitude) > 1.0 for f in some)
-        aborted = sum(f.why.startswith("aborted") for f in some)
-        worst = [100.0 * max(abs(e) for e in f.errors.values()) for f in some]
-        within = np.mean([abs(s) <= 2.0 for f in some for s in f.sigmas.values()])
+    for (severity, excited), some in bench.grouped(found, "severity", "excited").items():
+        rate, attitude, seconds, tracking, errors, sigmas = (
+            np.array([f[name] for f in some])
+            for name in ("rate", "attitude", "seconds", "tracking", "errors", "sigmas")
+        )
+        left = np.sum(np.maximum(rate, attitude) > 1.0)
+        aborted = sum(f["why"].startswith("aborted") for f in some)
+        worst = 100.0 * np.abs(errors).max(axis=1)
         yield (
             severity, "yes" if excited else "no", f"{max(rate):.2f}", f"{max(attitude):.2f}",
-            f"{left} of {len(some)}", f"{np.median([f.seconds for f in some]):.0f}", f"{aborted}",
-            " / ".join(f"{axis:.2f}" for axis in np.mean([f.tracking for f in some], axis=0)),
-            f"{np.median(worst):.0f}, {max(worst):.0f}", f"{100.0 * within:.0f} %",
+            f"{left} of {len(some)}", f"{np.median(seconds):.0f}", f"{aborted}",
+            " / ".join(f"{axis:.2f}" for axis in tracking.mean(axis=0)),
+            f"{np.median(worst):.0f}, {max(worst):.0f}",
+            f"{100.0 * np.mean(np.abs(sigmas) <= 2.0):.0f} %",
         )  # fmt: skip
 
 
@@ -267,8 +249,8 @@ def main() -> None:
         for seed in range(options.seeds)
         for excited in ((True,) if options.excited else (False, True))
     ]
-    found = bench.done(fly, jobs, options.workers, lambda one: f"{one.severity}: {one.why}")
-    bench.keep(options.output, [vars(one) for one in found])
+    found = bench.done(fly, jobs, options.workers, lambda one: f"{one['severity']}: {one['why']}")
+    bench.keep(options.output, found)
     print(*bench.table(HEAD, rows(found)), sep="\n")
 
 

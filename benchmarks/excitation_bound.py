@@ -14,7 +14,7 @@ independent of its later error: errors can be drawn backwards in time.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from typing import Any
 
 import bench
 import cases
@@ -65,19 +65,8 @@ STATES = 8
 """p q r, beta and alpha in still air, the additions of gusts to both, and the rolling gust."""
 
 
-@dataclass(frozen=True)
-class Found:
-    """Result of one flight."""
-
-    gusts: str
-    seed: int
-    excited: bool
-    seconds: dict[str, float]  # Until near for good, by derivative and for all six; inf if never
-    bound: dict[str, float]  # The same of efficient estimators, median
-    within: dict[str, float]  # Share of the ticks within two sigma, by derivative
-    known: float  # Share of the ticks with a known control derivative
-    usable: float  # Share of the ticks with a usable row
-    wrong: float  # ... whose control derivative has an error of more than half
+Found = dict[str, Any]
+"""Results of one flight."""
 
 
 def covariances(flight: Flight, gust: float) -> FloatArray:
@@ -183,15 +172,17 @@ def judge(job: tuple[str, int, bool]) -> Found:
         bound = for_good(np.abs(error) <= allowed)
     wrong = (errors > 0.5 * np.abs(truth))[:, CONTROLS]
     known = (np.abs(values) > KNOWN * sigmas)[:, CONTROLS]
-    return Found(
-        gusts, seed, excited,
-        seconds=for_good((errors <= allowed)[first:]),
-        bound=bound,
-        within=dict(zip(DOMINANT, (errors <= 2.0 * sigmas).mean(axis=0).tolist(), strict=True)),
-        known=float(known.any(axis=1).mean()),
-        usable=float(usable.any(axis=1).mean()),
-        wrong=float((usable & wrong).any(axis=1).mean()),
-    )  # fmt: skip
+    return {
+        "gusts": gusts, "seed": seed, "excited": excited,
+        # Until near for good, s, and the same of efficient estimators, median
+        "seconds": for_good((errors <= allowed)[first:]), "bound": bound,
+        # Share of the ticks within two sigma, by derivative
+        "within": (errors <= 2.0 * sigmas).mean(axis=0).tolist(),
+        # ... with a known control derivative, with a usable row, with one off by more than half
+        "known": float(known.any(axis=1).mean()),
+        "usable": float(usable.any(axis=1).mean()),
+        "wrong": float((usable & wrong).any(axis=1).mean()),
+    }  # fmt: skip
 
 
 def lines(found: Sequence[Found]) -> Iterator[str]:
@@ -199,36 +190,34 @@ def lines(found: Sequence[Found]) -> Iterator[str]:
     names = (*DOMINANT, "all")
     yield "| gusts, flights | | " + " | ".join((*DOMINANT, "all six")) + " |"
     yield "|---" * (len(names) + 2) + "|"
-    for gusts in GUSTS:
-        some = [f for f in found if f.gusts == gusts and f.excited]
-        if not some:
-            continue
+    excited = [f for f in found if f["excited"]]
+    for (gusts,), some in bench.grouped(excited, "gusts").items():
 
         def cells(what: str, some: Sequence[Found] = some) -> str:
-            each = ([getattr(f, what)[name] for f in some] for name in names)
+            each = ([f[what][name] for f in some] for name in names)
             return " | ".join(f"{np.percentile(s, 50, method='nearest'):.1f}" for s in each)
 
-        within = (100.0 * np.mean([f.within[name] for f in some]) for name in DOMINANT)
-        all_six = 100.0 * np.mean([[f.within[name] for name in cases.DOMINANT] for f in some])
-        soon = sum(f.seconds["all"] <= 1.5 * f.bound["all"] for f in some)
+        within = 100.0 * np.mean([f["within"] for f in some], axis=0)
+        soon = sum(f["seconds"]["all"] <= 1.5 * f["bound"]["all"] for f in some)
         yield f"| {gusts}, {len(some)} | near for good, s | {cells('seconds')} |"
         yield f"| | bound, s | {cells('bound')} |"
-        yield f"| | within 2 sigma, % | {' | '.join(f'{w:.0f}' for w in within)} | {all_six:.1f} |"
+        shares = " | ".join(f"{w:.0f}" for w in within)
+        yield f"| | within 2 sigma, % | {shares} | {within[:SIX].mean():.1f} |"
         yield (
             f"{gusts}: {soon} of {len(some)} within 1.5 times the bound; usable and wrong "
-            f"{100 * np.mean([f.wrong for f in some]):.1f} % of the time"
+            f"{100 * np.mean([f['wrong'] for f in some]):.1f} % of the time"
         )
-    for gusts in GUSTS:
-        some = [f for f in found if f.gusts == gusts and not f.excited]
-        if some:
-            shares = (100.0 * np.mean([getattr(f, name) for f in some])
-                      for name in ("known", "usable", "wrong"))  # fmt: skip
-            within_2 = 100.0 * np.mean([[f.within[n] for n in cases.DOMINANT] for f in some])
-            yield (
-                f"{gusts}, without excitation, {len(some)}: of the time a control derivative "
-                "known {:.0f} %, a row usable {:.0f} %, and wrong {:.1f} %; ".format(*shares)
-                + f"the six within 2 sigma {within_2:.0f} %"
-            )
+    quiet = [f for f in found if not f["excited"]]
+    for (gusts,), some in bench.grouped(quiet, "gusts").items():
+        known, usable, wrong = (
+            100.0 * np.mean([f[name] for f in some]) for name in ("known", "usable", "wrong")
+        )
+        within_2 = 100.0 * np.mean([f["within"][:SIX] for f in some])
+        yield (
+            f"{gusts}, without excitation, {len(some)}: of the time a control derivative known "
+            f"{known:.0f} %, a row usable {usable:.0f} %, and wrong {wrong:.1f} %; the six within "
+            f"2 sigma {within_2:.0f} %"
+        )
 
 
 def main() -> None:
@@ -244,8 +233,8 @@ def main() -> None:
         for seed in range(1, options.seeds + 1)
         for excited in ((True,) if options.excited else (True, False))
     ]
-    found = bench.done(judge, jobs, options.workers, lambda one: f"{one.seconds['all']:.1f} s")
-    bench.keep(options.output, [asdict(f) for f in found])
+    found = bench.done(judge, jobs, options.workers, lambda one: f"{one['seconds']['all']:.1f} s")
+    bench.keep(options.output, found)
     print("\n".join(lines(found)))
 
 

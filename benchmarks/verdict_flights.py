@@ -399,21 +399,17 @@ def _told_wrong(series: Series) -> Iterator[Trial]:
             yield series.trial(aircraft, label, 120.0, bank=20.0, wind=wind, warm=factor)
 
 
-def _turned(matrix: ArrayLike, measured: Measurements) -> Measurements:
-    """Rotate the Imu's signals by `matrix`, as in another mounting."""
-    turn = np.array(matrix)
+def _imu(rates: ArrayLike, force: ArrayLike, measured: Measurements) -> Measurements:
+    """Multiply the Imu's signals by a matrix, as in another mounting, or by that of other units."""
     return replace(
         measured,
-        rates=measured.rates @ turn.T,
-        specific_force=measured.specific_force @ turn.T,
+        rates=measured.rates @ np.transpose(rates),
+        specific_force=measured.specific_force @ np.transpose(force),
     )
 
 
-def _scaled(rates: float, force: float, measured: Measurements) -> Measurements:
-    """Change the units of the Imu's signals."""
-    return replace(
-        measured, rates=rates * measured.rates, specific_force=force * measured.specific_force
-    )
+def _mounted(matrix: ArrayLike) -> Spoil:
+    return partial(_imu, matrix, matrix)
 
 
 def _swapped(measured: Measurements) -> Measurements:
@@ -443,10 +439,10 @@ def _pulses(measured: Measurements) -> Measurements:
 
 MISTAKES: Sequence[tuple[str, Spoil, dict[str, Any], str]] = (
     ("imu.convention frd for flu", _as_it_is, {"imu.convention": "frd"}, "'flu' would"),
-    ("board upside down", partial(_turned, np.diag([1.0, -1.0, -1.0])), {}, "3.14, 0.00, yaw"),
-    ("board pitched by 90 deg", partial(_turned, [[0, 0, -1], [0, 1, 0], [1, 0, 0]]), {}, "1.57"),
-    ("gyro in deg/s", partial(_scaled, 57.3, 1.0), {}, "to rad/s"),
-    ("accelerometer in g", partial(_scaled, 1.0, 1.0 / 9.80665), {}, "looks like g"),
+    ("board upside down", _mounted(np.diag([1.0, -1.0, -1.0])), {}, "3.14, 0.00, yaw"),
+    ("board pitched by 90 deg", _mounted([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), {}, "1.57"),
+    ("gyro in deg/s", partial(_imu, 57.3 * np.eye(3), np.eye(3)), {}, "to rad/s"),
+    ("accelerometer in g", partial(_imu, np.eye(3), np.eye(3) / GRAVITY), {}, "looks like g"),
     ("gravity taken out of the force", _weightless, {}, "taken out"),
     ("rudder and aileron swapped", _swapped, {}, "swapped"),
     ("two publishers", _two_publishers, {}, "two publishers"),
