@@ -2,23 +2,29 @@
 """Parameter files, compared with rclpy, and coefficients files: a one-line error for each fault."""
 
 import json
+import math
 import os
+from datetime import UTC
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 from programs import python
 
 from uav_ident_ros.files import coefficients_file
 from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
+    Notes,
     load_coefficients,
+    load_with_notes,
     save_coefficients,
 )
 from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError, load_parameters
 from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.settings import MAX_DELAY, Settings, declarations
 from uav_ident_ros.identification.structure import STRUCTURES
 
 TRICKY = """\
@@ -332,3 +338,47 @@ def test_a_missing_folder_is_refused_and_a_link_is_kept(tmp_path: Path) -> None:
     save_coefficients(example(), link)
     assert link.is_symlink()
     assert load_coefficients(target).t_ns == example().t_ns
+
+
+sigmas = st.one_of(
+    st.floats(min_value=0.0, allow_nan=False), st.just(math.inf), st.just(0.0), st.just(5e-324)
+)
+
+
+@st.composite
+def coefficient_sets(draw: st.DrawFn) -> CoefficientSet:
+    structure = STRUCTURES[draw(st.sampled_from(sorted(STRUCTURES)))]
+    values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
+    for index in structure.free:
+        values[index] = draw(st.floats(allow_nan=False, allow_infinity=False))
+        sigma[index] = draw(sigmas)
+    return CoefficientSet(structure.name, values, sigma, draw(st.integers(0, 2**63 - 1)))
+
+
+any_notes = st.builds(
+    Notes,
+    saved=st.none() | st.datetimes(timezones=st.just(UTC)),
+    usable=st.none() | st.booleans(),
+    delay=st.none() | st.floats(0.0, MAX_DELAY),
+    learned_with=st.dictionaries(
+        st.sampled_from([setting.name for setting in declarations()]),
+        (st.text() | st.lists(st.floats(allow_nan=False))).map(json.dumps),
+    ),
+)
+
+
+@given(saved=coefficient_sets(), notes=any_notes)
+def test_saving_and_loading_coefficients_is_the_identity(
+    tmp_path_factory: pytest.TempPathFactory, saved: CoefficientSet, notes: Notes
+) -> None:
+    path = tmp_path_factory.mktemp("saved") / "coefficients.yaml"
+    save_coefficients(saved, path, notes)
+    loaded, loaded_notes = load_with_notes(path, saved.structure)
+    assert loaded.structure == saved.structure
+    assert loaded.t_ns == saved.t_ns
+    assert loaded.values.tobytes() == saved.values.tobytes()
+    assert loaded.sigma.tobytes() == saved.sigma.tobytes()
+    assert loaded_notes == notes
+    before = path.read_bytes()
+    save_coefficients(loaded, path, loaded_notes)
+    assert path.read_bytes() == before

@@ -5,31 +5,21 @@ Hypothesis draws the sequences, by the profiles of test/conftest.py.
 """
 
 import itertools
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import UTC
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
-from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
 from uav_ident_ros.identification.samples import LARGEST_GYRO_RATE, LATEST_STAMP
-from uav_ident_ros.identification.settings import (
-    LARGEST_NUMBER,
-    MAX_DELAY,
-    Settings,
-    SettingsError,
-    declarations,
-)
+from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings, SettingsError
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.noise import Message
@@ -352,49 +342,3 @@ def test_batching_and_order_of_arrival_do_not_change_the_estimates(
     estimates, also_dropped = estimates_of(settings, own, itertools.cycle(sizes))
     assert list(map(exactly, estimates)) == list(map(exactly, reference))
     assert also_dropped == dropped
-
-
-# --- save and load ----------------------------------------------------------------------------
-
-sigmas = st.one_of(
-    st.floats(min_value=0.0, allow_nan=False), st.just(math.inf), st.just(0.0), st.just(5e-324)
-)
-
-
-@st.composite
-def coefficient_sets(draw: st.DrawFn) -> CoefficientSet:
-    structure = STRUCTURES[draw(st.sampled_from(sorted(STRUCTURES)))]
-    values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
-    for index in structure.free:
-        values[index] = draw(st.floats(allow_nan=False, allow_infinity=False))
-        sigma[index] = draw(sigmas)
-    return CoefficientSet(structure.name, values, sigma, draw(st.integers(0, 2**63 - 1)))
-
-
-any_notes = st.builds(
-    Notes,
-    saved=st.none() | st.datetimes(timezones=st.just(UTC)),
-    usable=st.none() | st.booleans(),
-    delay=st.none() | st.floats(0.0, MAX_DELAY),
-    learned_with=st.dictionaries(
-        st.sampled_from([setting.name for setting in declarations()]),
-        (st.text() | st.lists(st.floats(allow_nan=False))).map(json.dumps),
-    ),
-)
-
-
-@given(saved=coefficient_sets(), notes=any_notes)
-def test_saving_and_loading_coefficients_is_the_identity(
-    tmp_path_factory: pytest.TempPathFactory, saved: CoefficientSet, notes: Notes
-) -> None:
-    path = tmp_path_factory.mktemp("saved") / "coefficients.yaml"
-    save_coefficients(saved, path, notes)
-    loaded, loaded_notes = load_with_notes(path, saved.structure)
-    assert loaded.structure == saved.structure
-    assert loaded.t_ns == saved.t_ns
-    assert loaded.values.tobytes() == saved.values.tobytes()
-    assert loaded.sigma.tobytes() == saved.sigma.tobytes()
-    assert loaded_notes == notes
-    before = path.read_bytes()
-    save_coefficients(loaded, path, loaded_notes)
-    assert path.read_bytes() == before
