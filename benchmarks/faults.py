@@ -16,7 +16,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -90,24 +90,6 @@ LARGEST_RATE = 200.0
 """Bounds of the outputs: entries by the prefix of their names; rates, rad/s."""
 
 
-@dataclass
-class Outcome:
-    """Result of a campaign."""
-
-    # Messages sent on each topic, hostile or not
-    sent: Counter[str] = field(default_factory=Counter)
-    hostile: Counter[str] = field(default_factory=Counter)  # Hostile ones among them
-    # before, after: 1-second fit, on the last 40 % of the flight, of the coefficients learned
-    # before and after
-    before: PredictionFit | None = None
-    after: PredictionFit | None = None
-    ticks: int = 0
-    calls: Counter[str] = field(default_factory=Counter)
-    memory: tuple[float, float] = (0.0, 0.0)
-    status: dict[str, str] = field(default_factory=dict)  # Last diagnostics
-    problems: list[str] = field(default_factory=list)  # Violations of the requirements
-
-
 def out_of_bounds(outputs: Outputs) -> Iterator[str]:
     """Yield the published values that are not finite or out of bounds."""
     for named in outputs.named:
@@ -127,7 +109,7 @@ def out_of_bounds(outputs: Outputs) -> Iterator[str]:
 
 
 class Campaign:
-    """One node, and all the disturbances."""
+    """One node, all the disturbances, and their results."""
 
     def __init__(
         self,
@@ -136,7 +118,16 @@ class Campaign:
         sim_time: bool,  # Whether the node runs on simulated time
         folder: Path,  # Folder for its log and its state file
     ) -> None:
-        self.outcome = Outcome()
+        # Messages sent on each topic, the hostile ones among them, and calls of each service
+        self.sent: Counter[str] = Counter()
+        self.hostile: Counter[str] = Counter()
+        self.calls: Counter[str] = Counter()
+        # 1-second fit, on the last 40 % of the flight, of the coefficients learned before and after
+        self.before: PredictionFit | None = None
+        self.after: PredictionFit | None = None
+        self.ticks, self.memory = 0, (0.0, 0.0)
+        self.status: dict[str, str] = {}  # Last diagnostics
+        self.problems: list[str] = []  # Violations of the requirements
         self.chance = random.Random(seed)
         self._count = count
         self._sim_time = sim_time
@@ -194,8 +185,8 @@ class Campaign:
             self.player.send(topic, data)
         except RuntimeError:  # longer than the type allows
             return
-        self.outcome.sent[topic] += 1
-        self.outcome.hostile[topic] += hostile
+        self.sent[topic] += 1
+        self.hostile[topic] += hostile
 
     def wait(self) -> None:
         """Wait until the node has processed the messages."""
@@ -203,7 +194,7 @@ class Campaign:
         if self._process.poll() is not None:
             raise RuntimeError(f"the node has ended with status {self._process.returncode}")
         if self._answer(self._barrier, self._question, 10.0) is None:
-            self.outcome.problems.append("the node did not answer for 10 s")
+            self.problems.append("the node did not answer for 10 s")
 
     def _answer(self, client: Any, request: Any, timeout: float = 5.0) -> Any:
         """Call a service and return the response; None on a timeout."""
@@ -216,13 +207,13 @@ class Campaign:
     def listen(self, seconds: float) -> None:
         """Receive the node's outputs for a time, and check their bounds."""
         self.player.spin_for(seconds)
-        outcome, outputs = self.outcome, self.player.outputs
-        outcome.problems += itertools.islice(out_of_bounds(outputs), 20)
-        outcome.ticks += len(outputs.named)
+        outputs = self.player.outputs
+        self.problems += itertools.islice(out_of_bounds(outputs), 20)
+        self.ticks += len(outputs.named)
         if outputs.coefficients:
             self._learned = np.array(outputs.coefficients[-1].data)
         for status in outputs.status:
-            outcome.status = {entry.key: entry.value for entry in status.values}
+            self.status = {entry.key: entry.value for entry in status.values}
         outputs.clear()
 
     # -- the flight ------------------------------------------------------------------------
@@ -231,6 +222,7 @@ class Campaign:
         self,
         seconds: float = LEARNING_TIME,  # Length of the part
         between: Callable[[], None] | None = None,  # Called after every Imu message
+        without: str = "",  # Topic that is left out
     ) -> None:
         """Play the beginning of the flight, with stamps that continue the last one."""
         start = self._flight[0][0]
@@ -239,6 +231,8 @@ class Campaign:
         for t_ns, topic, data in self._flight:
             if t_ns - start > seconds * SECOND_NS:
                 break
+            if topic == without:
+                continue
             self.now_ns = t_ns + shift_ns
             if self.now_ns - clock_ns >= SECOND_NS // 100:
                 clock_ns = self.now_ns
@@ -288,8 +282,8 @@ class Campaign:
 
     def _send_hostile(self, topic: str) -> None:
         """Send a hostile message; draw another one if it is too long."""
-        before = self.outcome.hostile[topic]
-        while self.outcome.hostile[topic] == before:
+        before = self.hostile[topic]
+        while self.hostile[topic] == before:
             self.send(topic, self._hostile[topic].message(self.now_ns), hostile=True)
 
     def _call_now_and_then(self) -> None:
@@ -324,17 +318,10 @@ class Campaign:
             self.call_something()
             publishers = self.player._publishers
             self._node.destroy_publisher(publishers.pop(topic))
-            self.fly_without(topic)
+            self.fly(1.0, without=topic)
             publishers[topic] = self._node.create_publisher(self._types[topic], topic, 1000)
             self.player.wait_for_node()
         self.fly(2.0)
-
-    def fly_without(self, topic: str) -> None:
-        """Fly a second without one of the topics."""
-        whole = self._flight
-        self._flight = [item for item in whole if item[1] != topic]
-        self.fly(1.0)
-        self._flight = whole
 
     def jumps(self) -> None:
         """Make large jumps of the message time, and of /clock, in both directions."""
@@ -368,9 +355,9 @@ class Campaign:
             ("reset", Trigger, dict),
         ]  # fmt: skip
         service, kind, fields = self.chance.choice(calls if self._may_reset else calls[:-1])
-        self.outcome.calls[service] += 1
+        self.calls[service] += 1
         if self._once(kind, service, **fields()) is None:
-            self.outcome.problems.append(f"no answer to '{service}'")
+            self.problems.append(f"no answer to '{service}'")
 
     def _once(self, kind: Any, service: str, **fields: Any) -> Any:
         client = self._node.create_client(kind, f"/identifier/{service}")
@@ -399,12 +386,12 @@ class Campaign:
             parameters=[parameter.to_parameter_msg() for parameter in parameters],
         )
         if answer is None or not answer.result.successful:
-            self.outcome.problems.append(f"the parameters could not be set back: {answer}")
+            self.problems.append(f"the parameters could not be set back: {answer}")
         self._once(SetBool, "adapt", data=True)
 
     # -- all of it -------------------------------------------------------------------------
 
-    def run(self) -> Outcome:
+    def run(self) -> None:
         """Run the campaign."""
         try:
             self.player.wait_for_node()
@@ -412,13 +399,12 @@ class Campaign:
             for phase in self._phases():
                 phase()
             self.listen(2.5)
-            self.outcome.memory = (begin, self.resident_mb())
+            self.memory = (begin, self.resident_mb())
             self._judge()
         except (RuntimeError, PlayerError) as error:
-            self.outcome.problems.append(str(error))
+            self.problems.append(str(error))
         finally:
             self.end()
-        return self.outcome
 
     def _phases(self) -> Iterator[Callable[[], None]]:
         yield self.parameter_storm  # before the first message
@@ -427,7 +413,7 @@ class Campaign:
         # No reset from here on: the node must recover without one.
         self._may_reset = False
         yield self.fly
-        self.outcome.before = self.learned()
+        self.before = self.learned()
         yield self.mixed_with_flight
         yield self.floods
         yield self.silences
@@ -435,22 +421,22 @@ class Campaign:
         yield self.parameter_storm
         yield self.calm_down
         yield self.fly
-        self.outcome.after = self.learned()
+        self.after = self.learned()
 
     def _judge(self) -> None:
-        outcome, status = self.outcome, self.outcome.status
-        assert outcome.before is not None
-        assert outcome.after is not None
-        if (outcome.after.model < outcome.before.model - LARGEST_LOSS).any():
-            outcome.problems.append(
-                f"the fit was {outcome.before.model.round(1)} %, and is "
-                f"{outcome.after.model.round(1)} % now"
+        status = self.status
+        assert self.before is not None
+        assert self.after is not None
+        if (self.after.model < self.before.model - LARGEST_LOSS).any():
+            self.problems.append(
+                f"the fit was {self.before.model.round(1)} %, and is "
+                f"{self.after.model.round(1)} % now"
             )
         if status.get("internal errors") != "0":
-            outcome.problems.append(f"internal errors: {status.get('internal errors')}")
+            self.problems.append(f"internal errors: {status.get('internal errors')}")
         for stream in (STREAMS[topic] for topic in self.topics):
             if not int(status.get(f"{stream}: dropped", 0)):
-                outcome.problems.append(f"nothing was dropped of the {stream}")
+                self.problems.append(f"nothing was dropped of the {stream}")
 
     def resident_mb(self) -> float:
         """Return the resident memory of the node, MB."""
@@ -461,15 +447,15 @@ class Campaign:
         status, log = self._process.end(signal.SIGTERM), self._process.log
         if status != 0 or "Traceback" in log:
             tail = "\n".join(log.splitlines()[-30:])
-            self.outcome.problems.append(f"it ended with status {status}:\n{tail}")
+            self.problems.append(f"it ended with status {status}:\n{tail}")
         self.player.close()
 
 
-def report(outcome: Outcome) -> Iterator[str]:
+def report(campaign: Campaign) -> Iterator[str]:
     """Yield the lines of a campaign's result."""
-    status = outcome.status
+    status = campaign.status
     for topic, stream in STREAMS.items():
-        if not outcome.sent[topic]:
+        if not campaign.sent[topic]:
             continue
         drops = {
             key.removeprefix(f"{stream}: dropped: "): value
@@ -477,17 +463,17 @@ def report(outcome: Outcome) -> Iterator[str]:
             if key.startswith(f"{stream}: dropped: ")
         }
         yield (
-            f"{topic}: {outcome.sent[topic]} sent, {outcome.hostile[topic]} of them hostile; "
+            f"{topic}: {campaign.sent[topic]} sent, {campaign.hostile[topic]} of them hostile; "
             f"{status.get(f'{stream}: messages')} arrived, "
             f"{status.get(f'{stream}: dropped')} dropped"
         )
         yield "    " + ", ".join(f"{reason}: {count}" for reason, count in drops.items())
-    yield f"calls: {dict(outcome.calls)}; ticks published: {outcome.ticks}"
-    yield "memory: {:.0f} -> {:.0f} MB".format(*outcome.memory)
-    if outcome.before is not None and outcome.after is not None:
-        before, after = outcome.before.model.round(1), outcome.after.model.round(1)
+    yield f"calls: {dict(campaign.calls)}; ticks published: {campaign.ticks}"
+    yield "memory: {:.0f} -> {:.0f} MB".format(*campaign.memory)
+    if campaign.before is not None and campaign.after is not None:
+        before, after = campaign.before.model.round(1), campaign.after.model.round(1)
         yield f"1-second fit of p, q, r: {before} % before, {after} % after"
-    yield from outcome.problems or ["no problem"]
+    yield from campaign.problems or ["no problem"]
 
 
 def main() -> int:
@@ -498,11 +484,12 @@ def main() -> int:
         begin = time.monotonic()
         with own_domain(), tempfile.TemporaryDirectory() as folder:
             os.environ["ROS_LOG_DIR"] = folder
-            outcome = Campaign(options.seed, options.messages, sim_time, Path(folder)).run()
+            campaign = Campaign(options.seed, options.messages, sim_time, Path(folder))
+            campaign.run()
         clock = "simulated time" if sim_time else "system time"
         print(f"--- {clock}, seed {options.seed}, {time.monotonic() - begin:.0f} s")
-        print(*report(outcome), sep="\n", flush=True)
-        failed = failed or bool(outcome.problems)
+        print(*report(campaign), sep="\n", flush=True)
+        failed = failed or bool(campaign.problems)
     return 1 if failed else 0
 
 
