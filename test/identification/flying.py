@@ -1,18 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated flights, their measurements, and runs of the identifier on them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from light_aircraft import TRUTH, LightFlight
 
+from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
+from uav_ident_ros.identification.estimators import Estimator
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import EXCITATION
+from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.offline.inputs import choose_inputs
+from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import Plan
@@ -21,6 +28,7 @@ from uav_ident_ros.simulation.plant import PlantFlight, vehicle
 from uav_ident_ros.simulation.recording import parameters
 
 AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
+RECORDED = Path(__file__).resolve().parents[3] / "shared" / "bags"
 DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
 
 
@@ -143,6 +151,36 @@ def identified(
     """Return the identifier after the flight, and its estimates."""
     identifier = OnlineIdentifier(settings(measurements, **changes), initial)
     return identifier, run(identifier, messages(measurements) if stream is None else stream)
+
+
+def blocks(
+    x: FloatArray,
+    u: FloatArray,
+    h: float,
+    force: FloatArray | None = None,
+    cells: int = 0,  # Of a block; all by default
+) -> Iterator[Block]:
+    """Cut rates, forces at the edges (N + 1) and inputs of the cells (N) into blocks."""
+    t_ns, cells = np.rint(np.arange(len(x)) * h * 1e9).astype(np.int64), cells or len(u)
+    force = np.zeros((len(x), 3)) if force is None else force
+    for k in range(0, len(u) - cells + 1, cells):
+        edges, own = slice(k, k + cells + 1), slice(k, k + cells)
+        yield Block(t_ns[edges], h, x[edges], u[own], force[edges], k == 0)
+
+
+def begun(name: str, seconds: float, **values: Any) -> tuple[OnlineIdentifier, Estimator]:
+    """The identifier after the first seconds of a recorded flight, and its first estimator."""
+    if not (RECORDED / name).exists():
+        pytest.skip(f"there is no recorded flight {name}")
+    given = {key.replace("__", "."): value for key, value in values.items()}
+    with Bag(RECORDED / name) as bag, pytest.MonkeyPatch.context() as patch:
+        flown = OfflineRun(choose_inputs(bag, given))
+        first, every = flown.identifier.estimator, bag.messages
+        end_ns = bag.start_ns + round(seconds * 1e9)
+        early = (m for m in every(flown.inputs.topics) if m.log_ns < end_ns)
+        patch.setattr(bag, "messages", lambda _: early)
+        flown.run(bag)
+    return flown.identifier, first
 
 
 def since(estimates: list[Estimate], begin: float, end: float) -> list[Estimate]:

@@ -109,8 +109,6 @@ def test_a_failed_surface_is_contradicted_and_no_other(row: int, effect: float) 
 @pytest.mark.parametrize(
     ("effect", "remark"),
     [
-        (-1.0, "pdot does not follow da; check the surface"),
-        (0.0, "pdot does not follow da; check the surface"),
         (0.3, "pdot does not follow da; check the surface"),
         (0.6, "half of it explains pdot better; check the surface"),
         (0.9, ""),

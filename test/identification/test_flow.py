@@ -2,14 +2,22 @@
 """Attitude, sideslip and angle of attack from the Imu, against the true ones."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from equations import AIRCRAFT, flown, matrix
-from flying import Message, identified, light_errors, light_measured, messages, plant_flight
+from flying import (
+    Message,
+    blocks,
+    identified,
+    light_errors,
+    light_measured,
+    messages,
+    plant_flight,
+)
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowObserver, FlowState
@@ -17,7 +25,6 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.prior import first_values, slope_bounds
 from uav_ident_ros.identification.regression import StateVariableFilter
-from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
@@ -28,17 +35,6 @@ from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 FLIGHT = STRUCTURES["flight_dynamics"]
 SPEED, CUTOFF = 20.0, 15.0
 MOMENTS = np.s_[:3, FLIGHT.column("beta") :]
-
-
-def blocks(
-    x: FloatArray, force: FloatArray, u: FloatArray, h: float, cells: int = 10
-) -> Iterator[Block]:
-    """Cut signals at the edges (N + 1) and inputs of the cells (N) into blocks."""
-    t_ns = np.rint(np.arange(len(x)) * h * 1e9).astype(np.int64)
-    for k in range(0, len(u) - cells + 1, cells):
-        edges = slice(k, k + cells + 1)
-        own = slice(k, k + cells)
-        yield Block(t_ns[edges], h, x[edges], u[own], force[edges], k == 0)
 
 
 def observed(
@@ -53,7 +49,7 @@ def observed(
     """Return flow angles (N, 2), and roll and pitch (N, 2), at the end of each cell, rad."""
     angles, attitude = [], []
     values = first_values(FLIGHT) if values is None else values
-    for block in blocks(x, force, u, h):
+    for block in blocks(x, u, h, force, cells=10):
         state = observer.follow(block, values, airspeed).state[1:]
         angles.append(state[:, 3:5])
         down = state[:, 5:]
@@ -190,7 +186,7 @@ def test_a_roll_in_a_sideslip_changes_alpha_as_the_kinematics_row_predicts() -> 
     down = np.stack([-np.sin(states[:, 6]), np.sin(states[:, 5]) * level,
                      np.cos(states[:, 5]) * level], axis=1)  # fmt: skip
     whole = np.concatenate((states[:, :5], down), axis=1)
-    (block,) = blocks(states[:, :3], force, u, h, len(u))
+    (block,) = blocks(states[:, :3], u, h, force)
     block = replace(block, flow=whole, airspeed=SPEED)
     found = StateVariableFilter(FLIGHT, CUTOFF, h, np.zeros(3)).apply(block, whole, None, a)
     columns = [FLIGHT.size + 1, -2, FLIGHT.column("1")]  # kinematics, de's slope, bias

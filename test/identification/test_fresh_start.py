@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight after carrying the aircraft with moving surfaces: learning begins anew in the air."""
 
-from pathlib import Path
 from typing import Any
 
 import flying
@@ -10,15 +9,11 @@ import pytest
 from light_aircraft import TRUTH
 from verdict_flights import carried
 
-from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.estimators.model_error import known_inputs
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.offline.inputs import choose_inputs
-from uav_ident_ros.offline.run import OfflineRun
+from uav_ident_ros.identification.structure import STRUCTURES
 
-QUIET_FLIGHT = Path(__file__).resolve().parents[3] / "shared" / "bags" / "proto_flt09"
 CARRIED = 20.0
 """Time of carrying before the launch, s."""
 
@@ -44,18 +39,10 @@ def test_known_coefficients_are_never_learned_anew() -> None:
     assert identifier.estimator is first
 
 
-@pytest.mark.skipif(not QUIET_FLIGHT.exists(), reason=f"there is no {QUIET_FLIGHT.name}")
-def test_a_lateness_that_may_be_noise_is_no_reason_to_begin_anew(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_lateness_that_may_be_noise_is_no_reason_to_begin_anew() -> None:
     """A rudder of 22 +- 21, perhaps 96 % late, is not known."""
-    with Bag(QUIET_FLIGHT) as bag:
-        flown = OfflineRun(choose_inputs(bag, {"structure": "flight_dynamics"}))
-        first, every, end_ns = flown.identifier.estimator, bag.messages, bag.start_ns + 130 * 10**9
-        early = (m for m in every(flown.inputs.topics) if m.log_ns < end_ns)
-        monkeypatch.setattr(bag, "messages", lambda _: early)
-        flown.run(bag)
-    assert flown.identifier.estimator is first
+    identifier, first = flying.begun("proto_flt09", 130.0)
+    assert identifier.estimator is first
 
 
 def test_a_custom_estimator_shared_by_both_estimates_learns_once() -> None:
@@ -72,15 +59,6 @@ def test_a_custom_estimator_shared_by_both_estimates_learns_once() -> None:
     np.testing.assert_array_equal(once.coefficients, usual.coefficients)
 
 
-def estimate_with(t_ratio: float, model_error: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Coefficients, sigma and model error with this t-ratio of rdot/dr without its model error."""
-    coefficients, sigma = np.zeros(FLIGHT.mask.shape), np.ones(FLIGHT.mask.shape)
-    at = FLIGHT.index("rdot/dr")
-    coefficients[at] = t_ratio
-    sigma[at] = np.hypot(1.0, model_error * t_ratio)
-    return coefficients, sigma, np.full(3, model_error)
-
-
 @pytest.mark.parametrize(
     ("t_ratio", "model_error", "known"), [(3.5, 0.0, True), (3.5, 1.0, True), (2.5, 0.0, False)]
 )
@@ -88,5 +66,8 @@ def test_a_model_error_does_not_make_an_input_unknown(
     t_ratio: float, model_error: float, known: bool
 ) -> None:
     """An unmodelled servo lag is a model error and no reason to begin anew."""
-    found = known_inputs(*estimate_with(t_ratio, model_error))
+    coefficients, sigma = np.zeros(FLIGHT.mask.shape), np.ones(FLIGHT.mask.shape)
+    at = FLIGHT.index("rdot/dr")
+    coefficients[at], sigma[at] = t_ratio, np.hypot(1.0, model_error * t_ratio)
+    found = known_inputs(coefficients, sigma, np.full(3, model_error))
     assert found.tolist() == [False, False, known]

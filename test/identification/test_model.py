@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model with angle of attack and sideslip, against SciPy's solution of its equations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from equations import AIRCRAFT, flown, matrix
+from flying import blocks
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.model import (
@@ -33,13 +36,10 @@ def with_down(state: FloatArray) -> FloatArray:
     return np.array([*first, -np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level])
 
 
-def block_of(u: FloatArray, h: float, *, restarted: bool = True) -> Block:
-    m = len(u)
-    t_ns = np.rint(np.arange(m + 1) * h * 1e9).astype(np.int64)
-    x = np.tile(START[:3], (m + 1, 1))
-    whole = np.tile(with_down(START), (m + 1, 1))
-    force = np.zeros((m + 1, 3))
-    return Block(t_ns, h, x, u, force, restarted, flow=whole, airspeed=SPEED)
+def block_of(u: FloatArray, h: float) -> Block:
+    whole = np.tile(with_down(START), (len(u) + 1, 1))
+    (block,) = blocks(whole[:, :3], u, h)
+    return replace(block, flow=whole, airspeed=SPEED)
 
 
 @pytest.mark.parametrize("h", [0.001, 0.005, 0.0125, 0.025])
@@ -80,10 +80,8 @@ def test_a_diverging_model_is_reset_to_the_measured_state(name: str) -> None:
 @pytest.mark.parametrize(("rate", "resets"), [(25.0, False), (-35.0, True)])
 def test_a_model_that_turns_faster_than_30_rad_s_is_reset(rate: float, resets: bool) -> None:
     """A fast roll or spin is no divergence."""
-    structure, h, m = STRUCTURES["augmented"], 0.005, 40
-    x = np.tile([rate, 0.0, 0.0], (m + 1, 1))
-    t_ns = np.arange(m + 1) * 5_000_000
-    block = Block(t_ns, h, x, np.zeros((m, 4)), np.zeros((m + 1, 3)), True)
+    structure, x = STRUCTURES["augmented"], np.tile([rate, 0.0, 0.0], (41, 1))
+    (block,) = blocks(x, np.zeros((40, 4)), 0.005)
     model = IdentifiedModel(structure, np.zeros(3))
     states = model.run(np.zeros(structure.mask.shape), block)
     np.testing.assert_allclose(states, x)

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from equations import matrix
-from flying import PEAKS, flight_of, identified, light_errors, light_measured, since
-from light_aircraft import LightFlight
+from flying import identified, light_errors, light_measured, since
 from verdict_flights import MISTAKES
 
 from uav_ident_ros.identification.delay import DelayEstimate
@@ -56,15 +55,11 @@ class Signals:
         return list(found)
 
 
-def flown(duration: float = 12.0, **spec: Any) -> Signals:
+def flown(seconds: float = 12.0, **flight: Any) -> Signals:
     """The signals of a flight, with noise."""
-    excitation = spec.pop("excitation", (Segment("multisine", amplitudes=PEAKS),))
-    flight = flight_of(LightFlight(excitation, duration, **{"bank": 20.0, "gust": 0.3, **spec}))
-    noise, t = np.random.default_rng(1), flight.time[::2]
-    rates = flight.rates[::2] + 0.01 * noise.standard_normal((len(t), 3))
-    force = flight.specific_force[::2] + 0.1 * noise.standard_normal((len(t), 3))
-    actuator_t = (flight.actuator_t_ns - flight.t_ns[0]) * 1e-9
-    return Signals(t, rates, force, actuator_t, flight.channels())
+    m = light_measured(seconds, **{"bank": 20.0, "sensors": {"convention": "frd"}, **flight})
+    t, actuator_t = ((t_ns - m.imu_t_ns[0]) * 1e-9 for t_ns in (m.imu_t_ns, m.actuator_t_ns))
+    return Signals(t, m.rates, m.specific_force, actuator_t, m.actuators)
 
 
 def settings_of(**changes: Any) -> Settings:
@@ -81,14 +76,10 @@ def settings_of(**changes: Any) -> Settings:
     "spec",
     [
         {},
-        {"excitation": (), "gust": 0.0, "bank": 0.0},
-        {"excitation": (), "gust": 2.0, "bank": 30.0, "duration": 40.0},
-        {"excitation": (), "bank": 60.0, "duration": 40.0},
-        {
-            "excitation": (
-                Segment("3211", amplitudes={"de": 0.05, "da": 0.05, "dr": 0.1}, unit=0.1),
-            )
-        },
+        {"peaks": {}, "gust": 0.0, "bank": 0.0},
+        {"peaks": {}, "gust": 2.0, "bank": 30.0, "seconds": 40.0},
+        {"peaks": {}, "bank": 60.0, "seconds": 40.0},
+        {"segments": (Segment("3211", 0.0, 12.0, {"de": 0.05, "da": 0.05, "dr": 0.1}, unit=0.1),)},
     ],
     ids=["excited", "calm", "storm", "steep turns", "pulses"],
 )

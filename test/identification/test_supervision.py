@@ -42,30 +42,21 @@ def test_learning_does_not_pause_for_samples_slower_than_ticks() -> None:
     assert all(estimate.adapting for estimate in estimates[begun:])
 
 
-def quiet_after(seconds: float, **changes: Any) -> Measurements:
-    """Half a minute in gusts without excitation, after `seconds` of it."""
-    segment = Segment("multisine", duration=seconds, amplitudes=flying.AMPLITUDES, seed=1)
-    gusts = ColouredNoise(0.3, 0.3)
-    return flying.measured(seconds + 30.0, segments=(segment,), gusts=gusts, **changes)
-
-
-def test_quiet_flight_hardly_changes_the_coefficients() -> None:
-    _, estimates = flown(quiet_after(20.0, autopilot=True))
-    at_pause = estimates[26 * 20]
-    assert at_pause.state == "paused"
-    assert at_pause.reason.startswith("too little excitation")
-    # The small weight changes the last digits only.
-    moved = np.abs(estimates[-1].coefficients - at_pause.coefficients)
-    assert (moved <= 0.05 * at_pause.sigma).all()
-
-
 @pytest.mark.parametrize(("max_age", "usable"), [(15.0, False), (0.0, True)])
-def test_a_usable_model_expires_in_quiet_flight(max_age: float, usable: bool) -> None:
-    """Without a largest age it does not expire."""
-    _, estimates = flown(quiet_after(35.0), supervision__max_age=max_age)
-    assert estimates[41 * 20].usable
-    assert estimates[-1].usable == usable
-    assert ("has moved too little of late" in estimates[-1].reason) != usable
+def test_in_quiet_flight_coefficients_stay_and_the_verdict_expires_at_the_largest_age(
+    max_age: float, usable: bool
+) -> None:
+    """Half a minute in gusts without excitation; without a largest age it does not expire."""
+    segment = Segment("multisine", duration=35.0, amplitudes=flying.AMPLITUDES, seed=1)
+    m = flying.measured(65.0, segments=(segment,), gusts=ColouredNoise(0.3, 0.3))
+    _, estimates = flown(m, supervision__max_age=max_age)
+    at_pause, last = estimates[41 * 20], estimates[-1]
+    assert (at_pause.state, at_pause.usable, last.usable) == ("paused", True, usable)
+    assert at_pause.reason.startswith("too little excitation")
+    assert ("has moved too little of late" in last.reason) != usable
+    # The small weight changes the last digits only.
+    moved = np.abs(last.coefficients - at_pause.coefficients)
+    assert (moved <= 0.05 * at_pause.sigma).all()
 
 
 @cache
