@@ -312,6 +312,17 @@ def test_reversed_and_swapped_channels_are_named_beyond_three_sigma(
     assert (found.name if found else None) == name
 
 
+def test_an_imu_that_points_backwards_is_never_usable_where_signs_are_expected() -> None:
+    """Gravity does not show it: roll and pitch rate are reversed, and so are ax and ay."""
+    measured = light_measured(45.0)
+    signs = ("-qdot/de", "-rdot/dr", "+pdot/da")
+    own = {"imu__rpy": (0.0, 0.0, math.pi), "supervision__expected_signs": signs}
+    estimates = identified(measured, **own)[1]
+    assert not any(usable for e in estimates for usable in e.usable_rows)
+    assert "the Imu may point backwards; correct 'imu.rpy'" in estimates[-1].reason
+    assert not identified(measured, supervision__expected_signs=signs)[0].plausibility.noted
+
+
 class Learning:
     """Findings from the coefficients learned so far."""
 

@@ -432,15 +432,17 @@ def coefficient_finding(
 
     names = ("yaw and roll inputs", "motor") if multirotor else ("rudder and aileron", "surface")
     both, actuator = names
+    wrong = []
     for entry in expected:
         sign, index = entry[0], structure.index(entry[1:])
         value, spread = float(coefficients[index]), float(sigma[index])
         if spread > 0.0 and value * (1.0 if sign == "+" else -1.0) < -sure * spread:
-            return Finding(
-                "signs",
-                f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}: a {actuator} "
-                "is connected the wrong way round; turn it, or its sign in actuators.mixing",
-            )
+            wrong.append(f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}")
+    if wrong:
+        cure = f"a {actuator} is connected the wrong way round; turn it, or its sign in "
+        if len(wrong) > 1:
+            cure = "the Imu may point backwards; correct 'imu.rpy', or the signs in "
+        return Finding("signs", f"{', '.join(wrong)}: {cure}actuators.mixing")
     if not exceeds("pdot/dr", "pdot/da", sure) or exceeds("rdot/dr", "rdot/da", SURE):
         return None
     return Finding(

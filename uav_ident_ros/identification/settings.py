@@ -451,7 +451,8 @@ class SupervisionSettings:
         "tail-sitter.")
     expected_signs: tuple[str, ...] = _setting((), text=
         "Known signs of control derivatives, like '+pdot/da'. If the flight shows the opposite, a"
-        " surface is connected the wrong way round: a fault, and nothing is usable.")
+        " surface is connected the wrong way round, or the Imu points backwards: a fault, and "
+        "nothing is usable.")
 
 
 @dataclass(frozen=True)
