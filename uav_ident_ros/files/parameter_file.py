@@ -35,7 +35,9 @@ _FALSE = frozenset(("N", "n", "no", "No", "NO", "false", "False", "FALSE", "off"
 _DOTTED = re.compile(r"\.(nan|NaN|NAN)|[+-]?\.(inf|Inf|INF)")
 """YAML's NaN and infinities, which C writes without the dot."""
 
-_TOKEN = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_TOKEN = r"([A-Za-z_][A-Za-z0-9_]*|\*\*?)"
+_SECTION = re.compile(rf"/?{_TOKEN}(/{_TOKEN})*")
+"""A node name, or a pattern of one."""
 
 
 class ParameterFileError(Exception):
@@ -70,20 +72,12 @@ class ParameterFile:
         return cls(path, sections, (*repeated,))
 
     def values_for(self, node: str) -> dict[str, ParameterValue]:
-        """Return the values for a node, ``/drone1/identifier``; as in rclpy, the last section wins.
-
-        Raises
-        ------
-        ParameterFileError
-            If there are sections, but none for this node.
-        """
-        values: dict[str, ParameterValue] = {}
-        for section in self.sections_for(node):
-            values.update(self.sections[section])
-        return values
+        """Return the values in the `sections_for` a node; as in rclpy, the last section wins."""
+        sections = (self.sections[section] for section in self.sections_for(node))
+        return {name: value for section in sections for name, value in section.items()}
 
     def sections_for(self, node: str) -> list[str]:
-        """Return the sections for a node; an empty file has none.
+        """Return the sections for a node, ``/drone1/identifier``; an empty file has none.
 
         Raises
         ------
@@ -149,16 +143,22 @@ def _matches(section: str, node: str) -> bool:
     return re.fullmatch(pattern, _absolute(node)) is not None
 
 
+_STRING_TAG = "tag:yaml.org,2002:str"
+"""The tag written ``!!str``."""
+
 _C = ctypes.CDLL(None, use_errno=True)
 _END = ctypes.POINTER(ctypes.c_char_p)
 _C.strtoll.argtypes, _C.strtoll.restype = (ctypes.c_char_p, _END, ctypes.c_int), ctypes.c_longlong
 _C.strtod.argtypes, _C.strtod.restype = (ctypes.c_char_p, _END), ctypes.c_double
 
 
-def scalar(text: str, *, quoted: bool = False) -> bool | int | float | str:
+def _scalar(node: yaml.ScalarNode) -> bool | int | float | str:
     """Return a YAML scalar with the type and value of rcl."""
-    if quoted or not text:
+    text = str(node.value)
+    if node.style in ("'", '"') or node.tag == _STRING_TAG:
         return text
+    if not text:
+        raise malformed(node, "there is no value")
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     integer = _read(_C.strtoll, text, 0)  # hexadecimal, octal after a leading 0, or decimal
@@ -185,12 +185,12 @@ class _Loader(yaml.BaseLoader):
         return super().compose_node(parent, index)
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> str:
-        """Return no tag: `scalar` gives the type."""
+        """Return no tag: `_scalar` gives the type."""
         return ""
 
 
-def _entries(node: Any, owner: str) -> Iterator[tuple[str, Any, Any]]:
-    """Yield each key of a mapping, as text and as a node, and its value."""
+def _entries(node: Any, owner: str) -> Iterator[tuple[Any, Any]]:
+    """Yield the keys and values of a mapping, as nodes."""
     if not isinstance(node, yaml.MappingNode):
         content = "is empty" if node.value == "" else "holds a value"
         raise malformed(
@@ -203,19 +203,21 @@ def _entries(node: Any, owner: str) -> Iterator[tuple[str, Any, Any]]:
             raise malformed(key, "a key must be a plain name")
         if not key.value:
             raise malformed(key, "there is no key")
-        yield key.value, key, value
+        yield key, value
 
 
 def _sections(node: Any, name: str, owner: str) -> Iterator[tuple[str, str, ParameterValue]]:
     """Yield section, dotted name and value of each parameter; for each section an empty name."""
-    for key, place, value in _entries(node, owner):
-        if not key.startswith(PARAMETERS_KEY):
+    for key, value in _entries(node, owner):
+        if not key.value.startswith(PARAMETERS_KEY):
             separator = "" if not name or name.endswith("/") else "/"
-            yield from _sections(value, f"{name}{separator}{key}", f"'{key}'")
+            yield from _sections(value, f"{name}{separator}{key.value}", f"'{key.value}'")
             continue
         if not name:
-            raise malformed(place, f"there is no node name before {PARAMETERS_KEY}")
-        _check_name(name, place)
+            raise malformed(key, f"there is no node name before {PARAMETERS_KEY}")
+        if not _SECTION.fullmatch(name):
+            reason = "letters, digits and '_' make one, '*' and '**' a pattern"
+            raise malformed(key, f"'{name}' is no node name: {reason}")
         yield name, "", None
         for parameter, found in _parameters(value, "", f"'{PARAMETERS_KEY}'"):
             yield name, parameter, found
@@ -225,8 +227,8 @@ def _parameters(node: Any, prefix: str, owner: str) -> Iterator[tuple[str, Param
     """Yield the parameters of a mapping, nested or not."""
     if prefix and not node.value:
         raise malformed(node, f"{owner} is an empty mapping")
-    for key, _, value in _entries(node, owner):
-        name = f"{prefix}{key}"
+    for key, value in _entries(node, owner):
+        name = f"{prefix}{key.value}"
         if isinstance(value, yaml.MappingNode):
             yield from _parameters(value, f"{name}.", f"'{name}'")
         else:
@@ -251,26 +253,3 @@ def _value(node: Any) -> ParameterValue:
 
 
 _TYPES = {bool: "a bool", int: "an integer", float: "a floating-point number", str: "a word"}
-
-_STRING_TAG = "tag:yaml.org,2002:str"
-"""The tag written ``!!str``."""
-
-
-def _scalar(node: yaml.ScalarNode) -> bool | int | float | str:
-    quoted = node.style in ("'", '"') or node.tag == _STRING_TAG
-    if not quoted and not node.value:
-        raise malformed(node, "there is no value")
-    return scalar(node.value, quoted=quoted)
-
-
-def _check_name(name: str, place: Any) -> None:
-    """Raise an error if a section is neither a node name nor a pattern."""
-    if name == "/**":
-        return
-    for token in name.removeprefix("/").split("/"):
-        if token not in ("*", "**") and not _TOKEN.fullmatch(token):
-            raise malformed(
-                place,
-                f"'{name}' is no node name: letters, digits and '_' make one, '*' and '**' a "
-                "pattern",
-            )
