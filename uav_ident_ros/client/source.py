@@ -10,7 +10,7 @@ import numpy as np
 
 from uav_ident_ros.client.coefficients import Coefficients, NamedMessage
 from uav_ident_ros.client.model import AttitudeModel, Refusal
-from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.identification.structure import BoolArray
 from uav_ident_ros.messages.types import NS_PER_S
 
 LENGTH = 256
@@ -117,7 +117,7 @@ class CoefficientSource:
         # the model of the fallback, and the newest usable set with its model
         self._spare: AttitudeModel | None = None
         if nominal is not None and fallback is not Fallback.REFUSE:
-            self._spare = _model(nominal, nominal.values, nominal.known, "nominal")
+            self._spare = _model(nominal, source="nominal")
         self._good: tuple[Coefficients, AttitudeModel] | None = None
 
     def take(self, message: NamedMessage) -> Coefficients:
@@ -180,41 +180,33 @@ class CoefficientSource:
             at = spare.flow or newest.flow  # where its coefficients hold
             return replace(spare, flow=newest.flow._replace(airspeed=at.airspeed))
         if self._good is None or self._good[0] is not newest:
-            self._good = newest, self._merged(newest)
+            self._good = newest, _model(newest, self._spare)
             if self.fallback is Fallback.LAST_GOOD:
                 self._spare = replace(self._good[1], source="last good", replaced=())
         return self._good[1]
 
-    def _merged(self, newest: Coefficients) -> AttitudeModel:
-        """Return the model of a set, its unknown coefficients replaced by those of the fallback."""
-        values, known, spare = newest.values, newest.known, self._spare
-        if spare is None or spare.structure is not newest.structure:
-            return _model(newest, values, known)
-        from_spare = ~known & spare.known
-        values, replaced = np.where(from_spare, spare.values, values), _names(newest, from_spare)
-        return _model(newest, values, known | from_spare, replaced=replaced)
-
-
-def _names(coefficients: Coefficients, which: BoolArray) -> tuple[str, ...]:
-    structure = coefficients.structure
-    pairs = zip(structure.names, which[structure.mask], strict=True)
-    return tuple(name for name, chosen in pairs if chosen)
-
 
 def _model(
-    coefficients: Coefficients,
-    values: FloatArray,
-    known: BoolArray,
-    source: str = "identified",
-    replaced: tuple[str, ...] = (),
+    coefficients: Coefficients, spare: AttitudeModel | None = None, source: str = "identified"
 ) -> AttitudeModel:
+    """Return the model of a set, its unknown coefficients replaced by those of a `spare` one."""
+    structure, values, known = coefficients.structure, coefficients.values, coefficients.known
+    replaced = np.zeros_like(known)
+    if spare is not None and spare.structure is structure:
+        replaced = ~known & spare.known
+        values, known = np.where(replaced, spare.values, values), known | replaced
+
+    def names(which: BoolArray) -> tuple[str, ...]:
+        pairs = zip(structure.names, which[structure.mask], strict=True)
+        return tuple(name for name, chosen in pairs if chosen)
+
     return AttitudeModel(
-        structure=coefficients.structure,
+        structure=structure,
         flow=coefficients.flow,
         values=np.where(known, values, 0.0),
         known=known,
         t_ns=coefficients.t_ns,
         source=source,
-        replaced=replaced,
-        left_out=_names(coefficients, ~known),
+        replaced=names(replaced),
+        left_out=names(~known),
     )
