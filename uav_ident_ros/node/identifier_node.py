@@ -87,25 +87,21 @@ class IdentifierNode(Node):
         """Offer a service whose response and log line report the success and the result."""
 
         def answer(request: Any, response: Any) -> Any:
-            self._inputs.empty()
-            response.success, response.message = act(request)
-            level = DiagnosticStatus.OK if response.success else DiagnosticStatus.ERROR
-            self._log(level, f"{name}: {response.message}")
+            with self._guard(name):
+                self._inputs.empty()
+                response.success, response.message = act(request)
+                level = DiagnosticStatus.OK if response.success else DiagnosticStatus.ERROR
+                self._log(level, f"{name}: {response.message}")
+            response.message = response.message or self._guard.problem
             return response
 
-        def failed(_: Any, response: Any) -> Any:
-            response.success, response.message = False, self._guard.problem
-            return response
-
-        answer.__name__ = name  # for the text of internal errors
-        self.create_service(kind, f"~/{name}", self._guard(answer, failed))
+        self.create_service(kind, f"~/{name}", answer)
 
     def _watch_time(self, period: float, jump: Duration) -> None:
         """Create the timers of ticks and, on a steady clock, diagnostics; handle time jumps."""
-        tick = self._guard(self._on_timer, self._recover)
-        self.create_timer(period, tick)
+        self.create_timer(period, self._guard("on_timer", self._recover)(self._on_timer))
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        diagnose = self._guard(self._on_diagnostics)
+        diagnose = self._guard("on_diagnostics")(self._on_diagnostics)
         self.create_timer(DIAGNOSTICS_PERIOD, diagnose, clock=self._steady)
         # The callback is removed with its handle.
         self._jump_handle = self.get_clock().create_jump_callback(
@@ -114,7 +110,7 @@ class IdentifierNode(Node):
                 min_backward=Duration(nanoseconds=-jump.nanoseconds),
                 on_clock_change=True,
             ),
-            post_callback=self._guard(self._on_jump),
+            post_callback=self._guard("on_jump")(self._on_jump),
         )
 
     # -- ticks -----------------------------------------------------------------------------

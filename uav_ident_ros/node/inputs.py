@@ -129,7 +129,7 @@ class Inputs:
         """Process all waiting messages."""
         waiting, self._waiting = self._waiting, []
         for own, data, arrival_ns in waiting:
-            try:
+            try:  # at a fraction of the time of a context manager
                 own.feed.take(data, arrival_ns)
             except Exception as error:
                 self._guard.note("take", error)

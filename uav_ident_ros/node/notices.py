@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Throttled log lines, and the handling of unforeseen errors."""
 
-import functools
 import re
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import rclpy
 
@@ -49,32 +48,22 @@ def without_sources(message: str) -> str:
     return " ".join(re.sub(r", at \S+:\d+", "", message).split())
 
 
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
 class Guard:
-    """Wraps callbacks so that their errors are logged instead of ending the node."""
+    """Logs the errors of blocks and callbacks, which would end the node."""
 
     def __init__(self, errors: Throttle) -> None:
         self._errors = errors
         self.count = 0  # Errors so far
         self.problem = ""  # The last one, in a sentence; empty if there was none
 
-    def __call__(
-        self, callback: Callable[P, R], otherwise: Callable[..., R] | None = None
-    ) -> Callable[P, R | None]:
-        """Return a guarded `callback`; after an error `otherwise` is called."""
-
-        @functools.wraps(callback)
-        def guarded(*args: P.args, **kwargs: P.kwargs) -> R | None:
-            try:
-                return callback(*args, **kwargs)
-            except Exception as error:
-                self.note(callback.__name__.strip("_"), error)
-            return None if otherwise is None else otherwise(*args, **kwargs)
-
-        return guarded
+    @contextmanager
+    def __call__(self, what: str, then: Callable[[], object] = lambda: None) -> Iterator[None]:
+        """Log an error in a block, or in a decorated callback, and call `then`."""
+        try:
+            yield
+        except Exception as error:
+            self.note(what, error)
+            then()
 
     def note(self, what: str, error: Exception) -> None:
         """Log the error in `what` that is being handled; raise it after the shutdown of ROS."""
