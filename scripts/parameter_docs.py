@@ -117,7 +117,7 @@ def actuator_types() -> str:
             f"`{name}`",
             ", ".join(f"`{field}`" for field in adapter.fields),
             "index or name" if adapter.named else "index",
-            "its own" if adapter.stamped else "arrival (bag: log time)",
+            "its own" if adapter.stamp else "arrival (bag: log time)",
             adapter.unit,
         )
         for name, adapter in ACTUATORS.items()

@@ -276,6 +276,12 @@ def test_core_imports_numpy_alone():
     assert reached == {ROOT / PACKAGE / "__init__.py"}
 
 
+def test_messages_and_the_client_import_no_ros():
+    files = loaded_with(f"{PACKAGE}.messages.feed", f"{PACKAGE}.client")
+    assert ROOT / PACKAGE / "messages" / "published.py" in files
+    assert not [path for path in files if third_party(path, lazy=False) - {"numpy"}]
+
+
 def test_node_runs_without_the_offline_packages():
     files = loaded_with(f"{PACKAGE}.node.identifier_node")
     assert ROOT / PACKAGE / "node" / "identifier_node.py" in files

@@ -98,7 +98,7 @@ def run_demo(options: argparse.Namespace) -> int:
         inputs = choose_inputs(bag, load_parameters(file, NODE_NAME) if file else {})
         messages = list(bag.messages(inputs.topics))
         topics = {topic: import_type(bag.type_of(topic)) for topic in inputs.topics}
-    stamped = ACTUATORS[inputs.settings.actuators.type].stamped
+    stamped = ACTUATORS[inputs.settings.actuators.type].stamp is not None
     speed = options.speed or (DEFAULT_SPEED if stamped else 1.0)
     name = options.bag.resolve().stem
     folder = options.output / f"demo_{name}"

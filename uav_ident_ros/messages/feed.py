@@ -104,7 +104,7 @@ class Feed:
                 raise ChannelError(problem, "too large")
             # Decoding an Imu here costs a fraction of making a message object.
             imu = decode_imu_cdr(data) if self.type_name == IMU_TYPE else None
-            stamp_ns, values = self.reader.checked(imu) if imu else self.reader(self._decode(data))
+            stamp_ns, values = self.reader(imu or self._decode(data))
         except ChannelError as error:
             self._refused[error.reason] += 1
             self.details[error.reason] = str(error)

@@ -65,11 +65,6 @@ class ActuatorAdapter:
     named: bool = False  # Whether messages name their channels
     count: str = ""  # Field with the number of array entries in use; empty if all are
 
-    @property
-    def stamped(self) -> bool:
-        """Whether messages have a stamp."""
-        return self.stamp is not None
-
 
 # --- reading ---------------------------------------------------------------------------------
 
@@ -299,17 +294,14 @@ class RatesReader:
         self.fault = frame_fault(settings.convention, "", settings.type)
 
     def __call__(self, message: Any) -> Reading:
-        """Return stamp, ns, and the pair of rates and specific force.
+        """Return stamp, ns, and the pair of rates and specific force; it also takes a reading.
 
         Raises
         ------
         ChannelError
             If it holds no rates, or the axes contradict the settings.
         """
-        return self.checked(self._read(message))
-
-    def checked(self, reading: RatesReading) -> Reading:
-        """Return the same for a reading."""
+        reading = message if isinstance(message, RatesReading) else self._read(message)
         if reading.frame_id != self.frame_id:
             self.frame_id = reading.frame_id
             self.fault = frame_fault(
