@@ -225,12 +225,13 @@ def test_a_file_without_a_readable_message_is_refused(flight: Path, copy: Path) 
 
 
 def test_only_chunks_that_cannot_be_read(tmp_path: Path) -> None:
-    """It is an MCAP file, and the message does not doubt it."""
+    """It is an MCAP file, and the message does not doubt it, but names the bag."""
     split(tmp_path / "split", 1, 700, compress=True)
     file = tmp_path / "split" / "split_0.mcap"
     for position, length in chunk_places(file):
         spoil(file, position + length // 2, 200)
-    with pytest.raises(BagError, match=r"no message to be saved: it is damaged: 1 of 1 chunks"):
+    words = r"_0.mcap' is damaged: there is no message to be saved: it is damaged: 1 of 1 chunks"
+    with pytest.raises(BagError, match=words):
         list(Bag(file).messages(excerpts.TYPES))
 
 

@@ -21,6 +21,7 @@ from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node.waiting import silence_reason
 from uav_ident_ros.process import NodeProcess
+from uav_ident_ros.ros import to_stamp
 
 PERIOD = 0.01
 START_NS = 1_700_000_000_000_000_000
@@ -61,14 +62,8 @@ Change = Topic | str | Callable[[Any], object] | None
 SILENT, TWICE = "silent", "twice"
 
 
-def stamp(sec: int) -> Spoil:
-    """Return a function that sets a message's stamp, s."""
-
-    def change(message: Any) -> None:
-        message.header.stamp.sec = sec
-        message.header.stamp.nanosec = 0 if sec == 0 else 1
-
-    return change
+def stamped(t_ns: int) -> Spoil:
+    return put("header.stamp", to_stamp(t_ns))
 
 
 def frozen() -> Spoil:
@@ -132,16 +127,16 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
     "channels of another kind": (
         DROPPED.format("/actuators", "their values are larger than any aircraft has"),
         {"actuators": put("position", [2e6] * 4)}),
-    "two clocks": ("they run on different clocks", {"actuators": stamp(START_NS // 10**9 + 999)}),
+    "two clocks": ("they run on different clocks", {"actuators": stamped(START_NS + 999 * 10**9)}),
     "airspeed of another unit": (
         DROPPED.format("/airspeed", "their values are larger than any aircraft has: look at un"),
         {"airspeed": put("data", 20_000.0)}),
     "no stamps": (DROPPED.format("/imu/data", "their stamp is zero or negative: let"),
-        {"imu": stamp(0)}),
+        {"imu": stamped(0)}),
     "stamps stand still": (DROPPED.format("/imu/data", "their stamps repeat"), {"imu": frozen()}),
     "stamps of another century": (
         DROPPED.format("/imu/data", "their stamp is beyond 2038: look at the clock"),
-        {"imu": stamp(2**31 - 1)}),
+        {"imu": stamped(2**31 * 10**9 - 1)}),
     "rates that are no numbers": (
         DROPPED.format("/imu/data", "their values are not finite numbers: look at the source"),
         {"imu": put("angular_velocity.x", math.nan)}),
@@ -219,8 +214,7 @@ class Source(Guest):
             elif kind in (Float64, Bool):
                 message.data = kind is Bool or 20.0
             if hasattr(message, "header"):
-                seconds, rest = divmod(self._t_ns, 10**9)
-                message.header.stamp.sec, message.header.stamp.nanosec = seconds, rest
+                message.header.stamp = to_stamp(self._t_ns)
             if callable(change):
                 change(message)
             publisher.publish(message)

@@ -148,7 +148,10 @@ class Bag:
             try:
                 for connection, log_ns, data in reader.messages(connections):
                     if isinstance(reader, ReaderOfRos1):
-                        data = self._of_ros_2(data, connection)
+                        # The common interfaces differ from those of ROS 2 in the header's `seq`
+                        # alone. Other types need the definitions in the bag.
+                        _register_type(self._store, connection)
+                        data = bytes(self._store.ros1_to_cdr(data, connection.msgtype))
                     count += 1
                     yield Message(connection.topic, log_ns, data)
                 if count < expected:  # rosbags ends a chunk without checksum where it is damaged
@@ -156,15 +159,6 @@ class Bag:
             except Exception as error:
                 # Damaged bytes make the parser fail in many ways: struct, zstd, reader errors.
                 yield from islice(self._saved(reader, topics, count, _reason(error)), count, None)
-
-    def _of_ros_2(self, data: bytes, connection: Connection) -> bytes:
-        """Return a ROS 1 message in the serialization of ROS 2.
-
-        The common interfaces differ in the header's `seq` alone. Other types need the definitions
-        in the bag.
-        """
-        _register_type(self._store, connection)
-        return bytes(self._store.ros1_to_cdr(data, connection.msgtype))
 
     def _saved(
         self, reader: AnyReader, topics: Collection[str], count: int, reason: str

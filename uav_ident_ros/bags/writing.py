@@ -132,12 +132,9 @@ class BagWriter:
         self._writer.open()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, *error: Any) -> None:
         """Write index and metadata; after an exception leave the bag unfinished."""
-        if kind is None:
-            self._writer.close()
-        else:
-            self._writer.abort()
+        self._writer.__exit__(*error)
 
     def topic(self, name: str, msgtype: str, qos: Qos | None = None) -> None:
         """Add a topic of a type, ``package/msg/Name``, and the QoS profile of its publisher."""
