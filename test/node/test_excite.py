@@ -2,14 +2,13 @@
 """The service ``~/excite``, the topic ``~/excitation`` over DDS, and its addition."""
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from estimates import estimate_of
-from programs import StartNode
+from programs import PATIENCE
 from recordings import (
     NODE,
     Fly,
@@ -22,8 +21,7 @@ from recordings import (
     recording,
     replayed,
 )
-from sensor_msgs.msg import Imu, JointState
-from std_msgs.msg import Header
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from uav_ident_ros.bags.reading import Message
@@ -37,7 +35,6 @@ from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.node.excite import Excite, slowest_ticks
 from uav_ident_ros.player import Player
-from uav_ident_ros.ros import to_stamp
 
 MS = 1_000_000
 PARAMETERS = {
@@ -190,13 +187,13 @@ def test_the_own_signal_counts_only_while_nobody_else_publishes_one(
         tick(150 * MS)
         assert taken == [300 * MS]
         other = guest.node.create_publisher(JointState, "excitation", 1)
-        assert guest.spin_for(START_UP, lambda: guest.node.count_publishers(other.topic_name) > 0)
+        assert guest.spin_for(PATIENCE, lambda: guest.node.count_publishers(other.topic_name) > 0)
         assert guest.spin_for(1.0, lambda: injected.get_publisher_count() > 0)
         monkeypatch.setattr(guest.node, "count_publishers", None)  # no query of the graph at a tick
         tick(200 * MS)
         assert taken == [300 * MS]
         guest.node.destroy_publisher(other)
-        assert guest.spin_for(START_UP, lambda: injected.get_publisher_count() == 0)
+        assert guest.spin_for(PATIENCE, lambda: injected.get_publisher_count() == 0)
         tick(250 * MS)
         assert taken == [300 * MS, 400 * MS]
     finally:
@@ -216,69 +213,17 @@ def test_excitation_is_refused_without_ticks_and_at_too_low_an_update_rate(
     assert not answer.success and answer.message.endswith("need 12 Hz")
 
 
-SURFACES = ["elevator", "rudder", "aileron", "throttle"]
-PERIOD_NS = 10_000_000
-START_UP = 120.0
-"""Longest time from the start of the node to the excitation, s."""
-
-
-class Controller(Guest):
-    """A controller that only adds the excitation, on the wall clock."""
-
-    def __init__(self) -> None:
-        super().__init__("controller")
-        self._imu = self.node.create_publisher(Imu, "imu/data", 50)
-        self._actuators = self.node.create_publisher(JointState, "actuators", 50)
-        self.excitation = Excitation(limit=[0.1] * 4)
-        subscribe_excitation(self.node, self.excitation)
-        self.added: list[tuple[int, bool]] = []
-        """Time, ns, and whether the excitation is nonzero."""
-        self._next_ns = time.time_ns()
-
-    def fly_one_sample(self) -> None:
-        """Publish a sample of quiet flight and the excitation as command."""
-        self._next_ns += PERIOD_NS
-        self.spin_for((self._next_ns - time.time_ns()) * 1e-9)
-        self._executor.spin_once(timeout_sec=0.0)
-        header = Header(stamp=to_stamp(self._next_ns))
-        imu = Imu(header=header)
-        imu.linear_acceleration.z = 9.81
-        imu.angular_velocity.x = 0.01 * float(np.sin(self._next_ns * 1e-9))
-        self._imu.publish(imu)
-        requested = self.excitation.at(self._next_ns)
-        self.added.append((self._next_ns, bool(requested.any())))
-        self._actuators.publish(
-            JointState(header=header, name=SURFACES, position=requested.tolist())
-        )
-
-
-def test_the_excitation_ends_when_the_node_is_killed(start_node: StartNode) -> None:
-    node = start_node(
-        parameters={
-            "actuators.type": "sensor_msgs/msg/JointState",
-            "actuators.channels": str(SURFACES),
-            "state_file": "none",
-            "excitation.fade_time": "0.0",
-        }
-    )
-    controller = Controller()
-    try:
-        client = controller.node.create_client(SetBool, "identifier/excite")
-        end = time.monotonic() + START_UP
-        while not all(on for _, on in controller.added[-20:]) or len(controller.added) < 20:
-            assert time.monotonic() < end, node.log
-            # repeated: on a busy machine missing samples may abort a run
-            if client.service_is_ready() and len(controller.added) % 50 == 0:
-                client.call_async(SetBool.Request(data=True))
-            controller.fly_one_sample()
-        node.kill()
-        node.wait()
-        killed_ns = time.time_ns()
-        for _ in range(100):
-            controller.fly_one_sample()
-    finally:
-        controller.close()
-    last_ns = max(t for t, on in controller.added if on)
-    longest = Settings().excitation.lead + EXCITATION_TIMEOUT
-    assert last_ns <= killed_ns + round(longest * 1e9)
-    assert not any(on for _, on in controller.added[-20:])
+def test_the_excitation_ends_when_the_node_is_killed(flight: Recording, fly: Fly) -> None:
+    node, player = fly(flight, parameters=PARAMETERS, sim_time=True)
+    excitation = Excitation(limit=[0.1] * 4)
+    subscribe_excitation(player.node, excitation)
+    player.play_in_step(part(flight, 0.0, 2.0))
+    assert call(player, SetBool, "excite", data=True).success
+    player.play_in_step(part(flight, 2.0, 5.0))
+    killed_ns = part(flight, 2.0, 5.0)[-1].log_ns
+    node.kill()
+    node.wait()
+    player.spin_for(0.5)  # messages may still be on their way
+    on = [t for t in range(2000) if excitation.at(killed_ns + t * MS).any()]
+    assert on[0] < 50
+    assert on[-1] <= 1000 * (Settings().excitation.lead + EXCITATION_TIMEOUT)
