@@ -2,7 +2,7 @@
 """Parts of the committed bags, modified on request, and replays of them."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,26 @@ def excerpt(
                     writer.topic(name, getattr(written, "__msgtype__", bag.types[topic]))
                 writer.write(name, at, written)
     return target
+
+
+def written(
+    path: Path, types: Mapping[str, str], messages: Iterable[Sequence[Any]], **options: Any
+) -> Path:
+    """Write a bag of messages: topic, log time (ns), and message or bytes."""
+    with BagWriter(path, **options) as bag:
+        for topic, msgtype in types.items():
+            bag.topic(topic, msgtype)
+        for message in messages:
+            bag.write(*message)
+    return path
+
+
+def one_folder(folder: Path, *bags: Path) -> Path:
+    """Move the files of some bags into a folder without metadata."""
+    folder.mkdir()
+    for bag in bags:
+        (bag / f"{bag.name}.mcap").rename(folder / f"{bag.name}.mcap")
+    return folder
 
 
 def decoded(bag: Path) -> dict[str, list[tuple[int, Any]]]:

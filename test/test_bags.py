@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
+from excerpts import one_folder, written
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -19,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import ARRAY, BagWriter
+from uav_ident_ros.bags.writing import ARRAY
 from uav_ident_ros.messages.feed import decode_imu_cdr
 
 FOREIGN = "px4_msgs/msg/ActuatorServos"
@@ -32,12 +33,9 @@ def array(value: float) -> Any:
 
 def write(path: Path, *, compress: bool = False) -> Path:
     """Write two topics whose messages were recorded out of order."""
-    with BagWriter(path, compress) as bag:
-        bag.topic("/a", ARRAY)
-        bag.topic("/b", ARRAY)
-        for log_ns in (30, 10, 20, 50, 40):
-            bag.write("/a" if log_ns % 20 else "/b", log_ns, array(log_ns))
-    return path
+    times = (30, 10, 20, 50, 40)
+    messages = [("/a" if log_ns % 20 else "/b", log_ns, array(log_ns)) for log_ns in times]
+    return written(path, {"/a": ARRAY, "/b": ARRAY}, messages, compress=compress)
 
 
 def mcap(path: Path) -> Path:
@@ -65,14 +63,11 @@ def test_messages_are_in_log_time_order(form: str, compress: bool, tmp_path: Pat
 
 
 def test_files_without_metadata_are_ordered_by_their_log_times(tmp_path: Path) -> None:
-    folder = tmp_path / "split"
-    folder.mkdir()
-    for name, log_ns in (("z", 1), ("a", 2)):
-        with BagWriter(tmp_path / name) as bag:
-            bag.topic("/a", ARRAY)
-            bag.write("/a", log_ns, array(0.0))
-        mcap(tmp_path / name).rename(folder / f"{name}.mcap")
-    with Bag(folder) as bag:
+    bags = [
+        written(tmp_path / name, {"/a": ARRAY}, [("/a", log_ns, array(0.0))])
+        for name, log_ns in (("z", 1), ("a", 2))
+    ]
+    with Bag(one_folder(tmp_path / "split", *bags)) as bag:
         assert [m.log_ns for m in bag.messages(["/a"])] == [1, 2]
         assert bag.counts == {"/a": 2}
 
@@ -183,16 +178,11 @@ def test_the_error_of_an_unknown_topic_lists_the_topics(tmp_path: Path) -> None:
 
 def test_a_topic_of_two_types_is_refused_where_it_is_read(tmp_path: Path) -> None:
     """Bytes of one type may be taken for another: what follows a message is skipped."""
-    folder = tmp_path / "both"
-    folder.mkdir()
+    bags = []
     for name, msgtype in (("first", ARRAY), ("second", "std_msgs/msg/Float32MultiArray")):
-        with BagWriter(tmp_path / name) as bag:
-            bag.topic("/a", msgtype)
-            bag.topic(f"/{name}", msgtype)
-            bag.write("/a", 1, bytes(28))
-            bag.write(f"/{name}", 1, bytes(28))
-        mcap(tmp_path / name).rename(folder / f"{name}.mcap")
-    with Bag(folder) as bag:
+        types = {"/a": msgtype, f"/{name}": msgtype}
+        bags.append(written(tmp_path / name, types, [(topic, 1, bytes(28)) for topic in types]))
+    with Bag(one_folder(tmp_path / "both", *bags)) as bag:
         bag.decoder("/first")
         with pytest.raises(BagError, match=r"'/a' has two types, .*Float64.* and .*Float32"):
             bag.decoder("/a")

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from excerpts import written
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Bool, Float32MultiArray, Float64MultiArray, MultiArrayDimension
 
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.bags.writing import BagWriter, jazzy_types
+from uav_ident_ros.bags.writing import jazzy_types
 
 
 def joint_state(counts: tuple[int, ...], letters: int = 3) -> JointState:
@@ -46,12 +47,9 @@ MESSAGES: dict[str, list[Any]] = {
 
 
 def recorded(path: Path, msgtype: str, serialized: list[bytes]) -> Bag:
-    """Write serialized messages with `rosbag2_py`, and open the bag."""
-    with BagWriter(path) as bag:
-        bag.topic("/a", msgtype)
-        for log_ns, data in enumerate(serialized, 1):
-            bag.write("/a", log_ns, data)
-    return Bag(path)
+    """Write serialized messages, and open the bag."""
+    messages = [("/a", log_ns, data) for log_ns, data in enumerate(serialized, 1)]
+    return Bag(written(path, {"/a": msgtype}, messages))
 
 
 @pytest.mark.parametrize("msgtype", MESSAGES)

@@ -24,6 +24,7 @@ from excerpts import (
     parameters,
     replay,
     summary,
+    written,
 )
 from programs import Capture, python, refusal
 from rosbags.highlevel import AnyReader
@@ -303,12 +304,7 @@ CHOICES: list[tuple[dict[str, str], dict[str, str], dict[str, str], dict[str, st
 
 def bag_of(path: Path, topics: dict[str, str]) -> Path:
     """Write a bag of these topics, with a message on each but a silent one."""
-    with writing.BagWriter(path) as writer:
-        for topic, msgtype in topics.items():
-            writer.topic(topic, msgtype)
-            if topic != "/silent":
-                writer.write(topic, SECOND_NS, b"")
-    return path
+    return written(path, topics, [(t, SECOND_NS, b"") for t in topics if t != "/silent"])
 
 
 @pytest.mark.parametrize(("topics", "values", "requested", "read"), CHOICES)

@@ -174,17 +174,12 @@ def test_a_file_without_chunks_is_read_up_to_its_cut(cut: bool, tmp_path: Path) 
 
 def split(folder: Path, count: int, each: int, compress: bool = False) -> list[tuple]:
     """Write the start of a flight into several files of a folder; return its messages."""
-    folder.mkdir()
-    with Bag(excerpts.BAGS / "multisine") as bag:
-        whole = [tuple(m) for m in bag.messages(excerpts.TYPES)][: count * each]
+    whole = messages(excerpts.BAGS / "multisine")[0][: count * each]
+    bags = []
     for k in range(count):
-        part = folder.parent / f"{folder.name}_{k}"
-        with BagWriter(part, compress) as writer:
-            for topic, name in excerpts.TYPES.items():
-                writer.topic(topic, name)
-            for topic, log_ns, data in whole[k * each : (k + 1) * each]:
-                writer.write(topic, log_ns, data)
-        (part / f"{part.name}.mcap").rename(folder / f"{part.name}.mcap")
+        path, some = folder.parent / f"{folder.name}_{k}", whole[k * each : (k + 1) * each]
+        bags.append(excerpts.written(path, excerpts.TYPES, some, compress=compress))
+    excerpts.one_folder(folder, *bags)
     return whole
 
 
@@ -335,13 +330,10 @@ def test_a_fault_at_the_end_determines_the_verdict(tmp_path: Path) -> None:
 
 
 def test_an_actuator_topic_without_messages_is_noted(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "silent") as writer:
-        for topic, name in excerpts.TYPES.items():
-            writer.topic(topic, name)
-        for topic, log_ns, data in split(tmp_path / "any", 1, 800):
-            if topic == excerpts.IMU:
-                writer.write(topic, log_ns, data)
-    status, summary = replayed(tmp_path / "silent", tmp_path / "out")
+    whole, _ = messages(excerpts.BAGS / "multisine")
+    rates = [message for message in whole[:800] if message[0] == excerpts.IMU]
+    bag = excerpts.written(tmp_path / "silent", excerpts.TYPES, rates)
+    status, summary = replayed(bag, tmp_path / "out")
     assert status == NOT_USABLE
     assert summary["notes"] == ["/actuators has no messages that could be used: nothing is learned"]
 
@@ -381,15 +373,11 @@ def test_two_imus_on_one_topic_are_noted(tmp_path: Path) -> None:
 
 def test_unreadable_messages_are_counted(tmp_path: Path) -> None:
     """The first message of each topic is empty; some others are truncated."""
-    bag = tmp_path / "bag"
-    with Bag(excerpts.BAGS / "multisine") as source, BagWriter(bag) as writer:
-        for topic, name in excerpts.TYPES.items():
-            writer.topic(topic, name)
-            writer.write(topic, source.start_ns, b"")
-        for count, (topic, log_ns, data) in enumerate(source.messages(excerpts.TYPES)):
-            if log_ns > source.start_ns + 5 * excerpts.SECOND_NS:
-                break
-            writer.write(topic, log_ns, data[:30] if count % 100 == 7 else data)
+    whole, _ = messages(excerpts.excerpt(tmp_path / "whole", 5.0))
+    spoiled = [(topic, whole[0][1], b"") for topic in excerpts.TYPES]
+    for count, (topic, log_ns, data) in enumerate(whole):
+        spoiled.append((topic, log_ns, data[:30] if count % 100 == 7 else data))
+    bag = excerpts.written(tmp_path / "bag", excerpts.TYPES, spoiled)
     _, summary = replayed(bag, tmp_path / "out")
     dropped = [summary["inputs"][s]["dropped"].get("unreadable", 0) for s in ("rates", "actuators")]
     assert min(dropped) >= 1

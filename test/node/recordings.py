@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from excerpts import BAGS, decoded, replay
+from excerpts import BAGS, decoded, replay, written
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
 from uav_ident_ros.bags.reading import Bag, Message
-from uav_ident_ros.bags.writing import BagWriter
 from uav_ident_ros.messages.types import header_ns, import_type
 from uav_ident_ros.offline import NOT_USABLE, USABLE
 from uav_ident_ros.player import Outputs, Player
@@ -102,12 +101,8 @@ def wait_for_text(player: Player, words: str) -> None:
 
 def replayed(flight: Recording, folder: Path) -> TickValues:
     """Run `replay` on a recording; return the contents of its bag of estimates."""
-    with BagWriter(folder / "flight") as bag:
-        for topic, name in flight.types.items():
-            bag.topic(topic, name)
-        for message in flight.messages:
-            bag.write(message.topic, message.log_ns, message.data)
-    status = replay(folder / "flight", folder / "out", by=flight.parameter_file)
+    bag = written(folder / "flight", flight.types, flight.messages)
+    status = replay(bag, folder / "out", by=flight.parameter_file)
     assert status in (USABLE, NOT_USABLE)
     names = ("coefficients_named", "predicted_rates", "prediction_error")
     found = decoded(folder / "out" / "estimates")
