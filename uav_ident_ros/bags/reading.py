@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -80,20 +79,15 @@ class Bag:
     ) -> None:
         self.path = Path(path)
         self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._readers: list[AnyReader] = []
         # Defects of the bag and extent of the salvage, a line each; grows during reading
         self.damage: list[str] = []
-        with ExitStack() as stack:
-            for reader in _opened(self.path, self.damage):
-                stack.callback(reader.close)
-                self._readers.append(reader)
-            self._connections = [c for reader in self._readers for c in reader.connections]
-            self.types: dict[str, str] = {}  # Message type of each topic, by name
-            self.counts: Counter[str] = Counter()  # Number of messages of each topic
-            for connection in sorted(self._connections, key=lambda connection: connection.topic):
-                self.types.setdefault(connection.topic, connection.msgtype)
-                self.counts[connection.topic] += connection.msgcount
-            self._stack = stack.pop_all()
+        self._readers = _opened(self.path, self.damage)
+        self._connections = [c for reader in self._readers for c in reader.connections]
+        self.types: dict[str, str] = {}  # Message type of each topic, by name
+        self.counts: Counter[str] = Counter()  # Number of messages of each topic
+        for connection in sorted(self._connections, key=lambda connection: connection.topic):
+            self.types.setdefault(connection.topic, connection.msgtype)
+            self.counts[connection.topic] += connection.msgcount
 
     def __enter__(self) -> Bag:
         """Return the bag itself: it is open from the start."""
@@ -101,7 +95,8 @@ class Bag:
 
     def __exit__(self, *_: object) -> None:
         """Close the files."""
-        self._stack.close()
+        for reader in self._readers:
+            reader.close()
 
     @property
     def start_ns(self) -> int:
@@ -267,13 +262,8 @@ def _opened(path: Path, damage: list[str]) -> list[AnyReader]:
         raise BagError(
             f"bag '{path}' is no bag: an .mcap file, a rosbag2 folder or a .bag of ROS 1 is needed"
         )
-    readers: list[AnyReader] = []
     found: list[str] = []
-    for file in files:
-        try:
-            readers.append(_open_file(file, path, found))
-        except BagError as error:
-            found.append(str(error))
+    readers = [reader for file in files if (reader := _open_file(file, path, found)) is not None]
     if not readers:
         raise BagError("; ".join(found))
     if reason and not found:
@@ -291,8 +281,8 @@ def _open(storage: Path) -> Reader | ReaderOfRos1:
     return reader
 
 
-def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
-    """Open one file of a bag, or its readable parts."""
+def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader | None:
+    """Open one file of a bag, or its readable parts; add its defects to `damage`."""
     try:
         return _open(file)
     except Exception as error:  # as above
@@ -306,7 +296,8 @@ def _open_file(file: Path, bag: Path, damage: list[str]) -> AnyReader:
             reason = f"'{file.name}': {reason}; {_reason(error)}"
     if file.suffix == ".db3":
         reason = f"{reason} (the tool sqlite3 may save what is there, by '.recover')"
-    raise BagError(f"bag '{bag}' cannot be read: {reason}")
+    damage.append(f"bag '{bag}' cannot be read: {reason}")
+    return None
 
 
 def _files_of(reader: AnyReader) -> list[Path]:
