@@ -207,7 +207,10 @@ def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[Coe
             "no coefficients file is named: give the path of a coefficients.yaml, as of replay"
         )
     try:
-        content = yaml.load(_text_of(Path(path)), StrictLoader)
+        _check_regular(Path(path))
+        if (size := Path(path).stat().st_size) > LARGEST_FILE:
+            raise EntryError(f"it has {size} bytes, more than any such file")
+        content = yaml.load(Path(path).read_text(encoding="utf-8"), StrictLoader)
         return _coefficients(content, structure), _notes(content)
     except UNUSABLE as error:
         reason = problem(error)
@@ -217,17 +220,9 @@ def load_with_notes(path: Path | str, structure: str | None = None) -> tuple[Coe
 
 
 def _check_regular(path: Path) -> None:
-    """Raise an error for what neither can be read nor must be replaced, such as /dev/null."""
+    """Raise an error for what is no file: a pipe would block, /dev/null must not be replaced."""
     if path.exists() and not path.is_file():
         raise EntryError("it is not a file but a folder, a pipe or the like")
-
-
-def _text_of(path: Path) -> str:
-    """Read a regular file of plausible size; others are refused, as a pipe would block."""
-    _check_regular(path)
-    if (size := path.stat().st_size) > LARGEST_FILE:
-        raise EntryError(f"it has {size} bytes, more than any such file")
-    return path.read_text(encoding="utf-8")
 
 
 def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:

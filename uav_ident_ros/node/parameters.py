@@ -52,7 +52,11 @@ def settings_of(node: Node, topics: Sequence[str]) -> Settings:
     SettingsError
         If a name is unknown or a value is not allowed.
     """
-    overridable = _qos_settings([node.resolve_topic_name(topic) for topic in topics])
+    overridable: dict[str, Setting] = {}
+    for topic in map(node.resolve_topic_name, topics):
+        for policy, allowed in QOS_POLICIES.items():
+            name = f"{QOS_PREFIX}{topic}.subscription.{policy}"
+            overridable[name] = Setting(name, default="", unit="", description="", **allowed)
     values: dict[str, object] = {}
     # rclpy has no public accessor (rclcpp has get_parameter_overrides), and automatic declaration
     # fails on an empty list.
@@ -65,19 +69,6 @@ def settings_of(node: Node, topics: Sequence[str]) -> Settings:
         elif name not in IGNORED:
             values[name] = parameter.value
     return Settings.from_values(values)
-
-
-def _qos_settings(topics: Sequence[str]) -> dict[str, Setting]:
-    """Return the settings for the QoS of these subscriptions, by the parameter's name."""
-    names = {
-        f"{QOS_PREFIX}{topic}.subscription.{policy}": allowed
-        for topic in topics
-        for policy, allowed in QOS_POLICIES.items()
-    }
-    return {
-        name: Setting(name, default="", unit="", description="", **allowed)
-        for name, allowed in names.items()
-    }
 
 
 def declare(node: Node, settings: Settings) -> None:
