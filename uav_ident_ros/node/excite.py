@@ -54,7 +54,7 @@ class Excite:
     def request(self, wanted: bool) -> tuple[bool, str]:
         """Start a run, or abort it; return the success and a message."""
         if not wanted:
-            self.abort("aborted: asked for")
+            self.abort("asked for")
             return True, "excitation is zero"
         problem = self._start()
         return not problem, f"not started: {problem}" if problem else "excitation is running"
@@ -85,7 +85,7 @@ class Excite:
     def watch(self) -> None:
         """Abort the run if ticks stop; to be called at the rate of the ticks."""
         if self._run.active and self._stale():
-            self.abort("aborted: no ticks any more: rates or actuators do not arrive")
+            self.abort("no ticks any more: rates or actuators do not arrive")
 
     def abort(self, why: str) -> None:
         """Publish zero and end the run; without a run, do nothing."""
@@ -93,7 +93,7 @@ class Excite:
             return
         assert self._estimate is not None  # a run has begun at a tick
         t_ns = self._identifier.intake.newest_ns or self._estimate.t_ns  # none after a restart
-        self._publish(self._run.abort(t_ns, why))
+        self._publish(self._run.abort(t_ns, f"aborted: {why}"))
         self._log_end()
 
     def values(self) -> Iterator[tuple[str, str]]:

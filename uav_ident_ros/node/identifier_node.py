@@ -99,7 +99,8 @@ class IdentifierNode(Node):
 
     def _watch_time(self, period: float, jump: Duration) -> None:
         """Create the timers of ticks and, on a steady clock, diagnostics; handle time jumps."""
-        self.create_timer(period, self._guard("on_timer", self._recover)(self._on_timer))
+        recover = partial(self._restart, "an internal error")
+        self.create_timer(period, self._guard("on_timer", recover)(self._on_timer))
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         diagnose = self._guard("on_diagnostics")(self._on_diagnostics)
         self.create_timer(DIAGNOSTICS_PERIOD, diagnose, clock=self._steady)
@@ -129,15 +130,18 @@ class IdentifierNode(Node):
                 self._meter.published((self.get_clock().now().nanoseconds - t_ns) * 1e-9)
         self._excite.watch()
 
-    def _recover(self) -> None:
-        """Continue after an unforeseen error."""
-        self._excite.abort("aborted: an internal error")
-        self.identifier.restart()
+    def _restart(self, why: str, *, cold: bool = False) -> None:
+        """Abort the excitation, and restart the filters, or start cold."""
+        self._excite.abort(why)
+        if cold:
+            self.identifier.reset()
+            self._estimate = None
+        else:
+            self.identifier.restart()
 
     def _on_jump(self, jump: TimeJump) -> None:
         """Restart after a jump of /clock; cold if it went back under use_sim_time."""
         self._inputs.empty()
-        self._excite.abort("aborted: the time jumped")
         now_ns = self.get_clock().now().nanoseconds
         if jump.clock_change == ClockChange.ROS_TIME_NO_CHANGE:
             if now_ns == jump.delta.nanoseconds:
@@ -146,22 +150,16 @@ class IdentifierNode(Node):
             what = f"/clock jumped by {jump.delta.nanoseconds * 1e-9:+.3f} s"
         else:
             cold, what = False, "the node's clock changed"
-        if cold:
-            self.identifier.reset()
-            self._estimate = None
-        else:
-            self.identifier.restart()
+        self._restart("the time jumped", cold=cold)
         kept = "starting cold" if cold else "filters restart, the coefficients stay"
         self.get_logger().warning(f"{what}: {kept}")
 
     # -- services --------------------------------------------------------------------------
 
     def _reset(self, _: Trigger.Request) -> tuple[bool, str]:
-        self._excite.abort("aborted: reset")
-        self.identifier.reset()
+        self._restart("reset", cold=True)
         self._memory.forget()
         self._guard.problem = ""
-        self._estimate = None
         return True, "started cold"
 
     def _adapt(self, request: SetBool.Request) -> tuple[bool, str]:
@@ -173,8 +171,7 @@ class IdentifierNode(Node):
     def _on_diagnostics(self) -> None:
         self._inputs.empty()
         if (waiting := self.identifier.intake.waiting) > MOST_WAITING:
-            self._excite.abort("aborted: no tick is computed")
-            self.identifier.restart()
+            self._restart("no tick is computed")
             self.get_logger().warning(
                 f"{waiting} ticks and messages dropped: the clock stands still"
             )
@@ -239,7 +236,7 @@ class IdentifierNode(Node):
 
     def finish(self) -> None:
         """Stop the excitation and save the coefficients at an orderly end of the program."""
-        self._excite.abort("aborted: the program ends")
+        self._excite.abort("the program ends")
         self._memory.finish(self._estimate)
 
 
