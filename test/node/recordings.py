@@ -11,6 +11,7 @@ from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 
 from uav_ident_ros.bags.reading import Bag, Message
+from uav_ident_ros.bags.writing import jazzy_types
 from uav_ident_ros.messages.types import header_ns, import_type
 from uav_ident_ros.offline import NOT_USABLE, USABLE
 from uav_ident_ros.player import Outputs, Player
@@ -56,6 +57,11 @@ def part(flight: Recording, begin: float, end: float) -> list[Message]:
     """Return the messages between two times after the start of a recording, s."""
     start_ns = flight.messages[0].log_ns
     return [m for m in flight.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
+
+
+def encoded(topic: str, log_ns: int, message: Any) -> Message:
+    """Return a message of `uav_ident_ros.bags.writing` as the player sends it."""
+    return Message(topic, log_ns, bytes(jazzy_types().serialize_cdr(message, message.__msgtype__)))
 
 
 def put(name: str, value: Any) -> Spoil:

@@ -15,6 +15,7 @@ from recordings import (
     Recording,
     call,
     change,
+    encoded,
     entries,
     part,
     published,
@@ -24,8 +25,7 @@ from recordings import (
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from uav_ident_ros.bags.reading import Message
-from uav_ident_ros.bags.writing import JOINT_STATE, jazzy_types, joint_state
+from uav_ident_ros.bags.writing import JOINT_STATE, joint_state
 from uav_ident_ros.client import Excitation, subscribe_excitation
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.excitation_run import Flying
@@ -55,12 +55,6 @@ def collect_excitation(player: Player) -> list[JointState]:
     received: list[JointState] = []
     player.node.create_subscription(JointState, f"{NODE}/excitation", received.append, 1000)
     return received
-
-
-def sent(message: JointState) -> bytes:
-    """Return a message's bytes on DDS, without the padding by `serialize_message`."""
-    joints = joint_state(header_ns(message), message.name, message.position)
-    return bytes(jazzy_types().serialize_cdr(joints, JOINT_STATE))
 
 
 def positions(messages: list[JointState]) -> np.ndarray:
@@ -131,7 +125,10 @@ def test_a_replay_reads_the_excitation_and_equals_the_live_node_to_the_bit(
     live |= published(player.outputs)
     topic = f"{NODE}/excitation"
     # earliest publication: with its tick, `input_wait` later
-    words = [Message(topic, header_ns(m) - 100 * MS, sent(m)) for m in received]
+    words = []
+    for m in received:  # the bytes on DDS: without the padding by `serialize_message`
+        joints = joint_state(header_ns(m), m.name, m.position)
+        words.append(encoded(topic, header_ns(m) - 100 * MS, joints))
     assert len(words) > 100 and positions(received).any()
     both = sorted([*flight.messages, *words], key=lambda message: message.log_ns)
     types = {**flight.types, topic: JOINT_STATE}

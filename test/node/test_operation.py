@@ -4,24 +4,19 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
 import recordings
-from geometry_msgs.msg import TwistStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
-from std_msgs.msg import Bool, Float64
 from std_srvs.srv import SetBool, Trigger
 
-from uav_ident_ros.bags.reading import Message
+from uav_ident_ros.bags import writing
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.node.identifier_node import MOST_WAITING, IdentifierNode
 from uav_ident_ros.player import Player
-from uav_ident_ros.ros import to_stamp
 
 
 @pytest.fixture(scope="module")
@@ -117,33 +112,21 @@ def test_quality_of_service_is_as_contracted(flight: recordings.Recording, playe
 
 
 AIRSPEED, ARMED = "/airspeed", "/armed"
+TWIST, NUMBER, FLAG = writing.TWIST, "std_msgs/msg/Float64", "std_msgs/msg/Bool"
 EVERY = 20
 """Messages of the flight per airspeed: about 12 Hz."""
 
 
-def airspeed(kind: type, stamp_ns: int, value: float) -> Any:
-    if kind is Float64:
-        return Float64(data=value)
-    twist = TwistStamped()
-    twist.header.stamp = to_stamp(stamp_ns)
-    twist.twist.linear.x = value
-    return twist
-
-
 @pytest.mark.parametrize(
-    ("one_clock", "name", "kind"),
-    [
-        (True, "geometry_msgs/msg/TwistStamped", TwistStamped),
-        (False, "std_msgs/msg/Float64", Float64),  # arrivals are years from the recorded stamps
-    ],
+    ("one_clock", "name"),
+    [(True, TWIST), (False, NUMBER)],  # if not, arrivals are years from the recorded stamps
 )
 def test_node_learns_with_an_airspeed_and_only_while_armed(
-    fly: recordings.Fly, one_clock: bool, name: str, kind: type
+    fly: recordings.Fly, one_clock: bool, name: str
 ) -> None:
     plain = recordings.recording("multisine", 8.0)
-    types = {**plain.types, AIRSPEED: name, ARMED: "std_msgs/msg/Bool"}
-    flight = replace(plain, types=types)
-    parameters = {"airspeed.type": name, "armed.type": types[ARMED]}
+    flight = replace(plain, types={**plain.types, AIRSPEED: name, ARMED: FLAG})
+    parameters = {"airspeed.type": name, "armed.type": FLAG}
     node, player = fly(flight, parameters=parameters, sim_time=one_clock)
     learned = player.outputs.coefficients
     count = dropped = 0
@@ -151,13 +134,16 @@ def test_node_learns_with_an_airspeed_and_only_while_armed(
     def play(begin: float, end: float, armed: bool) -> None:
         nonlocal count, dropped
         chosen = recordings.part(flight, begin, end)
-        messages = [Message(ARMED, chosen[0].log_ns, serialize_message(Bool(data=armed)))]
+        messages = [recordings.encoded(ARMED, chosen[0].log_ns, writing.plain(FLAG, armed))]
         for number, message in enumerate(chosen):
             messages.append(message)
             if number % EVERY == 0:
                 bad = number % (5 * EVERY) == 0
-                speed = airspeed(kind, message.log_ns, math.nan if bad else 20.0)
-                messages.append(Message(AIRSPEED, message.log_ns, serialize_message(speed)))
+                speed = math.nan if bad else 20.0
+                word = writing.plain(NUMBER, speed)
+                if name == TWIST:
+                    word = writing.twist_stamped(message.log_ns, (speed, 0.0, 0.0))
+                messages.append(recordings.encoded(AIRSPEED, message.log_ns, word))
                 count, dropped = count + 1, dropped + bad
         player.play_in_step(messages)
 
@@ -171,7 +157,7 @@ def test_node_learns_with_an_airspeed_and_only_while_armed(
     play(6.0, 8.0, armed=False)
     assert learned[-1].data == learned[-20].data
     for topic in (AIRSPEED, ARMED):
-        unstamped = topic == ARMED or kind is Float64
+        unstamped = topic == ARMED or name == NUMBER
         printed = f"'{topic}': its messages carry no time" in node.log
         assert printed is (unstamped and not one_clock)
     values = recordings.entries(player)
