@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 from programs import StartNode
@@ -19,21 +20,9 @@ def starting(home: Path) -> Iterator[StartNode]:
     """Start nodes in a separate domain, with their coefficients in `home`; end them all."""
     started: list[NodeProcess] = []
 
-    def start(
-        *,
-        parameter_file: Path | None = None,
-        parameters: Mapping[str, str] | None = None,
-        sim_time: bool = False,
-        namespace: str = "/",
-    ) -> NodeProcess:
-        values = {**(parameters or {}), **({"use_sim_time": True} if sim_time else {})}
-        log = Path(logs) / f"{len(started)}.log"
-        started.append(
-            NodeProcess(
-                "uav_ident_ros.node", log, values,
-                file=parameter_file, remappings={"__ns": namespace}, home=home,
-            )
-        )  # fmt: skip
+    def start(parameters: Mapping[str, object] | None = None, **options: Any) -> NodeProcess:
+        log, values = Path(logs) / f"{len(started)}.log", parameters or {}
+        started.append(NodeProcess("uav_ident_ros.node", log, values, home=home, **options))
         return started[-1]
 
     with TemporaryDirectory() as logs, own_domain():
@@ -49,9 +38,13 @@ def flying(home: Path) -> Iterator[Fly]:
     with starting(home) as start, ExitStack() as players:
 
         def fly(
-            flight: Recording, *, sim_time: bool = False, **options: str
+            flight: Recording,
+            *,
+            sim_time: bool = False,
+            parameters: Mapping[str, object] | None = None,
         ) -> tuple[NodeProcess, Player]:
-            node = start(parameter_file=flight.parameter_file, sim_time=sim_time, **options)
+            values = {**(parameters or {}), "use_sim_time": sim_time}
+            node = start(values, file=flight.parameter_file)
             player = Player(flight.classes, clock=sim_time)
             players.callback(player.close)
             player.wait_for_node()

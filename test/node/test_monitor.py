@@ -150,7 +150,7 @@ def test_an_interrupted_single_view_has_no_status_of_usable(start_monitor: Start
 def test_several_identifiers_are_listed_and_one_is_chosen(
     start_node: StartNode, start_monitor: StartMonitor, tmp_path: Path
 ) -> None:
-    nodes = [start_node(namespace=f"/{name}") for name in ("one", "two")]
+    nodes = [start_node(remappings={"__ns": f"/{name}"}) for name in ("one", "two")]
     assert all(wait_for(lambda node=node: "no message on" in node.log) for node in nodes)
     monitor = start_monitor("--once", "--timeout", "60")
     shown, errors = monitor.communicate(timeout=PATIENCE)

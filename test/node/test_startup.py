@@ -188,7 +188,7 @@ def test_hangup_ends_the_node_and_the_log_names_the_parameter_section(
     """SIGTERM and SIGINT: test_memory.py."""
     path = tmp_path / "mine.yaml"
     path.write_text("/**/identifier:\n  ros__parameters:\n" + 2 * "    update_rate: 10.0\n")
-    node = start_node(parameter_file=path)
+    node = start_node(file=path)
     assert wait_for(lambda: f"parameters of '{path}', section /**/identifier" in node.log), node.log
     assert wait_for(lambda: f"'{path}' gives 'update_rate' more than once" in node.log), node.log
     assert wait_for(lambda: "'airspeed.reference' is the default, 20 m/s" in node.log)
