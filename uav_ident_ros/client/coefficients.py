@@ -13,7 +13,6 @@ import numpy as np
 
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import (
-    CONSTANT,
     INPUT_COLUMNS,
     LAST_COLUMNS,
     PRODUCT_COLUMNS,
@@ -39,6 +38,10 @@ MIN_T_RATIO = 3.0
 MAX_SHARE = 0.1
 """Largest sigma of a small but known coefficient, over the largest known one of its kind in its
 row: such a cross coupling is significantly small."""
+
+
+KINDS = (PRODUCT_COLUMNS, RATE_COLUMNS, INPUT_COLUMNS, LAST_COLUMNS)
+"""Columns of one kind: rate products, rates, inputs, forces or flow angles."""
 
 
 class MessageError(ValueError):
@@ -139,17 +142,11 @@ class Coefficients:
         size = np.abs(self.values)
         clear = (size > 0.0) & (size >= MIN_T_RATIO * self.sigma)
         known = clear | (self.sigma == 0.0)
-        for columns in self._kinds():
-            largest = np.where(clear[:, columns], size[:, columns], 0.0).max(axis=1, keepdims=True)
+        found = np.where(clear, size, 0.0)
+        for columns in KINDS:
+            largest = found[:, columns].max(axis=1, keepdims=True, initial=0.0)
             known[:, columns] |= self.sigma[:, columns] <= MAX_SHARE * largest
         return np.asarray(known | ~self.structure.mask)
-
-    def _kinds(self) -> list[slice]:
-        kinds = [PRODUCT_COLUMNS, RATE_COLUMNS, INPUT_COLUMNS]
-        if CONSTANT in self.structure.regressors:
-            start = INPUT_COLUMNS.stop
-            kinds += [slice(start, start + 1), LAST_COLUMNS]
-        return kinds
 
 
 def _structure_of(names: set[str]) -> Structure:
