@@ -18,6 +18,7 @@ One format serves ``coefficients.yaml``, ``initial_coefficients_file`` and the s
 Numbers are written with all bits. Loading checks every entry.
 """
 
+import errno
 import glob
 import json
 import math
@@ -125,10 +126,8 @@ def remove_leftovers(path: Path | str) -> None:
 def _is_running(process: int) -> bool:
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # it belongs to another user
-        return True
+    except OSError as error:  # any other error: it belongs to another user
+        return error.errno != errno.ESRCH
     return True
 
 
@@ -189,13 +188,7 @@ def load_coefficients(path: Path | str, structure: str | None = None) -> Coeffic
 
 
 def initial_coefficients(settings: Settings) -> CoefficientSet | None:
-    """Read the initial coefficients; None if the settings name no file.
-
-    Raises
-    ------
-    CoefficientsFileError
-        If the file cannot be used.
-    """
+    """Read the initial coefficients, by `load_coefficients`; None if the settings name no file."""
     file = settings.initial_coefficients_file
     return load_coefficients(file, settings.structure) if file else None
 
