@@ -14,24 +14,21 @@ import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import Actuators, Force, Import, Usable, kinds, table
-from uav_ident_ros.import_logs.channels import (
-    PWM_MAX,
-    PWM_MIN,
-    PWM_TRIM,
-    effect_of,
-    effects_of_arms,
-    named_once,
-    over_range,
-)
 from uav_ident_ros.import_logs.dataflash import read_dataflash
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
+    PWM_MAX,
+    PWM_MIN,
+    PWM_TRIM,
     Channel,
     Choice,
     Effect,
     FlightLog,
     ImportLogError,
     Stream,
+    effect_of,
+    effects_of_arms,
+    named_once,
 )
 from uav_ident_ros.import_logs.log import Log, Messages
 
@@ -181,7 +178,7 @@ def _channel(log: Log, pin: int, function: int, effects: Mapping[int, Effect]) -
         low, high = log.parameter("MOT_PWM_MIN", low), log.parameter("MOT_PWM_MAX")
     turned = log.parameter(f"{prefix}REVERSED") != 0.0
     channel = Channel(name, effects.get(function, NO_EFFECT), meaning, unit="us")
-    return over_range(channel, low, high, centre=trim, turned=turned)
+    return channel.over_range(low, high, centre=trim, turned=turned)
 
 
 def _effects(log: Log, functions: list[int]) -> dict[int, Effect]:

@@ -16,13 +16,13 @@ import yaml
 
 from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.channels import effect_of
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
     Findings,
     FlightLog,
     Stream,
+    effect_of,
     rates_stream,
 )
 from uav_ident_ros.import_logs.log import Log, Messages

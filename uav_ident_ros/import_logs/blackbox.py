@@ -13,8 +13,14 @@ from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import Actuators, Import, table
 from uav_ident_ros.import_logs.binary import CUT_OFF
-from uav_ident_ros.import_logs.channels import effects_of_arms, over_range
-from uav_ident_ros.import_logs.flight_log import Channel, Choice, FlightLog, ImportLogError, Stream
+from uav_ident_ros.import_logs.flight_log import (
+    Channel,
+    Choice,
+    FlightLog,
+    ImportLogError,
+    Stream,
+    effects_of_arms,
+)
 from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
 from uav_ident_ros.messages.types import NS_PER_US
 
@@ -86,7 +92,7 @@ class _Blackbox(Import):
             for i, effect in enumerate(effects_of_arms(arms), 1)
         ]
         commands = Stream(messages.name, messages.stamp_ns, values)
-        return commands, [over_range(motor, float(low), float(high)) for motor in motors]
+        return commands, [motor.over_range(float(low), float(high)) for motor in motors]
 
 
 def _scales(log: Log, headers: dict[str, Any], frames: dict[str, Column]) -> dict[str, float]:

@@ -17,16 +17,19 @@ import numpy as np
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import Actuators, Force, Import, Usable, kinds, table
-from uav_ident_ros.import_logs.channels import (
+from uav_ident_ros.import_logs.flight_log import (
+    NO_EFFECT,
     PWM_MAX,
     PWM_MIN,
+    Channel,
+    Choice,
+    FlightLog,
+    Stream,
     effect_of,
     effects_of_arms,
     named_once,
-    over_range,
     rotor_effects,
 )
-from uav_ident_ros.import_logs.flight_log import NO_EFFECT, Channel, Choice, FlightLog, Stream
 from uav_ident_ros.import_logs.log import Log, Messages
 from uav_ident_ros.import_logs.px4_log import read_folder, read_ulog
 from uav_ident_ros.messages.types import PX4_RELATIVE_TIMESTAMP_INVALID
@@ -242,7 +245,7 @@ class _Px4(Import):
                 centre = (low + high) / 2.0 if function >= SERVO_FUNCTION else None
                 bit = int(log.parameter(f"{prefix}_REV")) >> (pin - 1) & 1
                 turned = bool(bit or log.parameter(f"{prefix}_REV{pin}"))
-                channel = over_range(channel, low, high, centre=centre, turned=turned)
+                channel = channel.over_range(low, high, centre=centre, turned=turned)
             channels.append(channel)
         return Stream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)
 
