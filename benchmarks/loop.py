@@ -15,7 +15,7 @@ import numpy as np
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control import IncrementalLaw, RateController
 from uav_ident_ros.control.controller import Law
-from uav_ident_ros.control.reference import Gains
+from uav_ident_ros.control.laws import Gains
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uav_ident_ros.control.reference import MAX_INTERVAL, Smoother
+from uav_ident_ros.control.laws import MAX_INTERVAL, Smoother
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 SURFACES = tuple(INPUTS.index(name) for name in ("da", "de", "dr"))

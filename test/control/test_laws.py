@@ -26,7 +26,7 @@ from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control import LAWS, IncrementalLaw, RateController
 from uav_ident_ros.control.allocation import authority
 from uav_ident_ros.control.controller import Law
-from uav_ident_ros.control.reference import Smoother
+from uav_ident_ros.control.laws import Smoother
 from uav_ident_ros.control.sideslip import SIDESLIP_RATE, rolls_over, yaw_for_roll
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 

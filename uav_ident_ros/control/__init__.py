@@ -10,9 +10,7 @@ from uav_ident_ros.control.allocation import allocate
 from uav_ident_ros.control.choice import AxisChoice, Effect
 from uav_ident_ros.control.controller import LAWS, RateController
 from uav_ident_ros.control.effectiveness import Effectiveness
-from uav_ident_ros.control.incremental import IncrementalLaw
-from uav_ident_ros.control.inversion import InversionLaw
-from uav_ident_ros.control.reference import Gains
+from uav_ident_ros.control.laws import Gains, IncrementalLaw, InversionLaw
 from uav_ident_ros.control.response import Response
 
 __all__ = [

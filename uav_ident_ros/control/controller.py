@@ -6,10 +6,8 @@ import numpy as np
 from uav_ident_ros.client import Coefficients, CoefficientSource, History
 from uav_ident_ros.control.choice import IDENTIFIED, AxisChoice, Effect
 from uav_ident_ros.control.effectiveness import Effectiveness
-from uav_ident_ros.control.incremental import IncrementalLaw
-from uav_ident_ros.control.inversion import InversionLaw
 from uav_ident_ros.control.lateness import DelayMeter
-from uav_ident_ros.control.reference import MAX_INTERVAL, Gains
+from uav_ident_ros.control.laws import MAX_INTERVAL, Gains, IncrementalLaw, InversionLaw
 from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import rolls_over, yaw_for_roll
 from uav_ident_ros.identification.structure import INPUTS, FloatArray

@@ -18,7 +18,7 @@ import numpy as np
 
 from uav_ident_ros.client import AttitudeModel
 from uav_ident_ros.control.allocation import MAINS
-from uav_ident_ros.control.reference import Smoother
+from uav_ident_ros.control.laws import Smoother
 from uav_ident_ros.identification.flow import ATTITUDE_GAIN, FlowState
 from uav_ident_ros.identification.linearisation import STATES, level_flight, linearise
 from uav_ident_ros.identification.model import GRAVITY
