@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import Actuators, Force, Import, Usable, kinds, table
+from uav_ident_ros.import_logs.autopilot import Actuators, Import, Usable, kinds, table
 from uav_ident_ros.import_logs.dataflash import read_dataflash
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
@@ -71,12 +70,6 @@ def read_ardupilot(path: Path, choice: Choice) -> FlightLog:
 
 class _ArduPilot(Import):
     """Import of an ArduPilot log: functions of the pins, QuadPlanes."""
-
-    def in_the_body(
-        self, kind: str, messages: Messages, rates: FloatArray, force: Force
-    ) -> tuple[FloatArray, Force]:
-        self.note_orientation("ArduPilot has turned IMU and GYR by it")
-        return rates, force
 
     def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
         return {"RCOU": self._pins, "RATE": self.demands, "AETR": self.demands}

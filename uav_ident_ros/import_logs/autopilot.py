@@ -263,6 +263,8 @@ class Import:
         name = self._choose(usable)
         messages = usable[name]
         force = self._force(name, messages)
+        if turned := self.table["orientation"]["turned"].get(name):
+            self.note_orientation(turned)
         rates, force = self.in_the_body(name, messages, messages.values(*fields[name]), force)
         sensor = self.table["gyros"].get(name, name)
         if len(instances := self.log.instances(sensor)) > 1:
@@ -299,15 +301,14 @@ class Import:
             )
             for field, entry in known.items()
         }
-        lacks = [field for field in channels if not messages.has(field)]
-        if missing := [field for field in lacks if any(channels[field].effect)]:
+        there = [field for field in channels if messages.has(field)]
+        acting = [field for field, channel in channels.items() if any(channel.effect)]
+        if missing := [field for field in acting if field not in there]:
             raise self.log.refusal(
                 f": {messages.name} has no {', '.join(missing)}; it has "
                 f"{', '.join(messages.columns)}"
             )
-        for field in lacks:
-            del channels[field]
-        return messages.stream(*channels), list(channels.values())
+        return messages.stream(*there), [channels[field] for field in there]
 
     def note_orientation(self, consequence: str) -> None:
         """Add the board orientation to the findings; `consequence` gives its use on the rates."""

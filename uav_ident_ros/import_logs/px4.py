@@ -76,7 +76,6 @@ class _Px4(Import):
         self, kind: str, messages: Messages, rates: FloatArray, force: Force
     ) -> tuple[FloatArray, Force]:
         if kind == "sensor_combined":
-            self.note_orientation("PX4 has turned sensor_combined by it")
             return rates, self._valid_force(messages, force)
         if kind == "sensor_gyro":
             return self._calibrated(messages, rates), force
