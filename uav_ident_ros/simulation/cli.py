@@ -189,12 +189,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = make_parser()
     options = parser.parse_args(arguments)
     _check(parser, options)
-    try:
-        from uav_ident_ros.bags.writing import BagWriteError
-        from uav_ident_ros.simulation.recording import write_bag
-    except ImportError as error:
-        print(f"simulate: {error.name} is not installed: pip install rosbags", file=sys.stderr)
-        return USAGE_ERROR
+    from uav_ident_ros.bags.writing import BagWriteError  # help needs none of these
+    from uav_ident_ros.simulation.recording import write_bag
+
     try:
         plan, sensors = flight_from(options)
         flight = plan.fly(options.output.name)
@@ -210,7 +207,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"messages, {measured.flight.duration:.1f} s"
     )
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise-free record of a simulated flight."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Any
