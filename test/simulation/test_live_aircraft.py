@@ -28,10 +28,11 @@ def flown(
     surface: str = "aileron",
     size: float = 0.05,
     seconds: float = 0.5,
+    sensors: Sensors = PERFECT,
     **options: float,
 ) -> tuple[LiveAircraft, list[Sample]]:
     """Fly with a constant deflection from the first sample on."""
-    aircraft = LiveAircraft("c172p", PERFECT, faults=[parse_fault(f) for f in faults], **options)
+    aircraft = LiveAircraft("c172p", sensors, faults=[parse_fault(f) for f in faults], **options)
     command = aircraft.trim[:3].copy()
     command[PULSE[surface][0]] += size
     samples = []
@@ -44,15 +45,11 @@ def flown(
 
 def test_the_airspeed_is_measured_ten_times_a_second() -> None:
     sensors = replace(PERFECT, airspeed_noise=0.0, airspeed_bias=0.5)
-    aircraft, measured = LiveAircraft("c172p", sensors), []
-    for _ in range(30):
-        measured.append(aircraft.sample().measured_airspeed)
-        aircraft.command(None)
-        aircraft.advance()
-    measured_at = [k for k, speed in enumerate(measured) if speed is not None]
-    assert measured_at == [0, 10, 20]
+    with_pitot, without = (flown(seconds=0.3, sensors=kind)[1] for kind in (sensors, PERFECT))
+    measured = {k: s.measured_airspeed for k, s in enumerate(with_pitot) if s.measured_airspeed}
+    assert [*measured] == [0, 10, 20]
     assert measured[0] == pytest.approx(airframe("c172p").speed + 0.5, abs=0.3)
-    assert LiveAircraft("c172p", PERFECT).sample().measured_airspeed is None
+    assert {sample.measured_airspeed for sample in without} == {None}
 
 
 def test_a_command_acts_after_the_delay_and_not_before() -> None:
