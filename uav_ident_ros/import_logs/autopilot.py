@@ -46,9 +46,6 @@ logged for a part of the flight alone."""
 AS_FAST = 0.9
 """Share of the highest rate that counts as that rate: messages of one loop differ by a sample."""
 
-Force = FloatArray | None
-"""Specific force at the stamps of the rates, (k, 3), m/s^2, if there is one."""
-
 Actuators = tuple[Stream, list[Channel]]
 """Raw values of the commands, and the channel of each column."""
 
@@ -103,11 +100,8 @@ class Import:
         """Return the commands whose effects the log gives; all if it gives none."""
         return usable
 
-    def in_the_body(
-        self, kind: str, messages: Messages, rates: FloatArray, force: Force
-    ) -> tuple[FloatArray, Force]:
-        """Return rates (k, 3), rad/s, and specific force of a kind of messages in body axes."""
-        return rates, force
+    def turn(self, kind: str, messages: Messages, measured: FloatArray) -> None:
+        """Turn rates and specific force (k, 6) of a kind of messages into body axes."""
 
     # --- which messages ---------------------------------------------------------------------------
 
@@ -262,14 +256,15 @@ class Import:
         usable = self._find("rates", fields, self.log.messages)
         name = self._choose(usable)
         messages = usable[name]
-        force = self._force(name, messages)
+        rates, force = messages.values(*fields[name]), self._force(name, messages)
+        stream = rates_stream(messages.name, messages.sample_ns, rates, force)
         if turned := self.table["orientation"]["turned"].get(name):
             self.note_orientation(turned)
-        rates, force = self.in_the_body(name, messages, messages.values(*fields[name]), force)
+        self.turn(name, messages, stream.values)
         sensor = self.table["gyros"].get(name, name)
         if len(instances := self.log.instances(sensor)) > 1:
             self.findings.read.append(f"instances {instances} of {sensor} (--rates-instance)")
-        return rates_stream(messages.name, messages.sample_ns, rates, force)
+        return stream
 
     def _actuators(self) -> Actuators:
         """Read the commands that the user chose, or the best of those with known effects."""
@@ -334,7 +329,7 @@ class Import:
         """Return the fine offsets of the board orientation: roll, pitch, yaw, deg."""
         return [self.log.parameter(name) for name in self.table["orientation"]["fine"]]
 
-    def _force(self, kind: str, rates: Messages) -> Force:
+    def _force(self, kind: str, rates: Messages) -> FloatArray | None:
         """Return the specific force, from the messages of the rates or from other fast ones."""
         forces = self.table["force"]
         if kind in forces and rates.has(*forces[kind]):

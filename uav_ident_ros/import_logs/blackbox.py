@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.autopilot import Actuators, Import, table
 from uav_ident_ros.import_logs.binary import CUT_OFF
 from uav_ident_ros.import_logs.flight_log import (
@@ -33,7 +32,9 @@ SIGNALS = (*KNOWN["rates"], *KNOWN["force"], "motor")
 """Fields of measurements and commands."""
 
 WRAP = 2.0**32
-"""Range of Betaflight's 32-bit integers."""
+"""Range of Betaflight's 32-bit integers. The log holds differences from a prediction. Betaflight's
+arithmetic wraps, that of orangebox does not: it reads a motor at 0, below its least command of 138,
+as 2^32."""
 
 
 def read_blackbox(path: Path, choice: Choice) -> FlightLog:
@@ -151,20 +152,12 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
         for i, name in enumerate(parser.field_names)
         if name.startswith(used)
     }
-    columns |= {n: _unwrapped(v) for n, v in columns.items() if n.startswith(SIGNALS)}
+    for name in [name for name in columns if name.startswith(SIGNALS)]:
+        columns[name] = (columns[name] + WRAP / 2.0) % WRAP - WRAP / 2.0
     if not frames or "time" not in columns:
         raise log.refusal(" has no frames that can be read")
     _note_missing(columns.pop("loopIteration", np.zeros(0)), log)
     return parser.headers, columns
-
-
-def _unwrapped(values: FloatArray) -> FloatArray:
-    """Return 32-bit numbers as signed ones.
-
-    The log holds differences from a prediction. Betaflight's arithmetic wraps, that of orangebox
-    does not: it reads a motor at 0, below its least command of 138, as 2^32.
-    """
-    return np.asarray((values + WRAP / 2.0) % WRAP - WRAP / 2.0)
 
 
 def _note_missing(iterations: Any, log: Log) -> None:

@@ -67,13 +67,7 @@ class Kind:
 
 
 def read_dataflash(path: Path, types: Collection[str]) -> Log:
-    """Read messages of some types, texts and parameters of a dataflash log.
-
-    Raises
-    ------
-    ImportLogError
-        If the log is of another format with the same framing.
-    """
+    """Read messages of some types, texts and parameters; refuse other formats of this framing."""
     log, data = Log(path), path.read_bytes()
     found = _Dataflash(data)
     places, gaps = found.walk(0)

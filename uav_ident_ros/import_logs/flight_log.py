@@ -82,13 +82,7 @@ class Channel:
         centre: float | None = None,  # Raw value at rest, of a two-sided channel
         turned: bool = False,  # Whether the direction is reversed
     ) -> Channel:
-        """Return it with the scale of a range: zero to full, or two-sided about a centre.
-
-        Raises
-        ------
-        ValueError
-            If high is not above low.
-        """
+        """Return it with the scale of a range: zero to full, or two-sided about a centre."""
         if not high > low:
             raise ValueError(f"{self.name} has the range {low:g} to {high:g}, which is empty")
         span, halves, rest = f"{low:g} to {high:g}", 1.0, high if turned else low

@@ -16,7 +16,7 @@ import numpy as np
 
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.autopilot import Actuators, Force, Import, Usable, kinds, table
+from uav_ident_ros.import_logs.autopilot import Actuators, Import, Usable, kinds, table
 from uav_ident_ros.import_logs.flight_log import (
     NO_EFFECT,
     PWM_MAX,
@@ -72,22 +72,19 @@ class _Px4(Import):
 
     # --- rates ------------------------------------------------------------------------------------
 
-    def in_the_body(
-        self, kind: str, messages: Messages, rates: FloatArray, force: Force
-    ) -> tuple[FloatArray, Force]:
+    def turn(self, kind: str, messages: Messages, measured: FloatArray) -> None:
         if kind == "sensor_combined":
-            return rates, self._valid_force(messages, force)
-        if kind == "sensor_gyro":
-            return self._calibrated(messages, rates), force
-        return rates, force
+            measured[:, 3:] = self._valid_force(messages, measured[:, 3:])
+        elif kind == "sensor_gyro":
+            measured[:, :3] = self._calibrated(messages, measured[:, :3])
 
-    def _valid_force(self, combined: Messages, force: Force) -> Force:
+    def _valid_force(self, combined: Messages, force: FloatArray) -> FloatArray | float:
         """Return the specific force of sensor_combined; invalid samples hold the last valid one."""
         relative = combined.columns["accelerometer_timestamp_relative"]
         valid = relative != PX4_RELATIVE_TIMESTAMP_INVALID
-        if force is None or not valid.any():
+        if np.isnan(force).all() or not valid.any():
             self.findings.lost.append("there is no valid accelerometer sample: ay and az are zero")
-            return None
+            return np.nan
         if not valid.all():
             self.findings.lost.append(
                 f"{int((~valid).sum())} accelerometer samples are invalid: held over"
