@@ -55,7 +55,7 @@ class LiveAircraft(Live):
         self.aircraft = Aircraft(name, rate, speed)  # JSBSim's aircraft
         self.autopilot, self.signals = settle(self.aircraft, sensors.rate)
         self.trim = self.outputs = self._acting = self.aircraft.surfaces
-        self._wanted = self._airspeed()
+        self._wanted = self.signals["airspeed"]
         self._seed, self._effect, self._jammed = seed, np.ones(4), np.full(4, np.nan)
         self._lagged = self._acting
         keep = np.exp(-1.0 / (rate * time_constant)) if time_constant else 0.0
@@ -86,7 +86,7 @@ class LiveAircraft(Live):
                 add_ballast(self.aircraft.fdm, fault.what, fault.value or 1.0)
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
-        slow = self._wanted - self._airspeed()
+        slow = self._wanted - self.signals["airspeed"]
         commanded = self.outputs[:3] if surfaces is None else surfaces
         return self.aircraft.clip(np.append(commanded, self.trim[3] + SPEED_GAIN * slow))
 
@@ -107,12 +107,9 @@ class LiveAircraft(Live):
     def _attitude(self) -> Sequence[float]:
         return [self.signals[name] for name in ("roll", "pitch", "yaw")]
 
-    def _airspeed(self) -> float:
-        return self.signals["airspeed"]
-
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
         rates, force = self._picked("p", "q", "r"), self._picked("fx", "fy", "fz")
-        return rates, force, self._picked(*self.names)
+        return rates, force, self._picked(*self.names), self.signals["airspeed"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -129,17 +129,13 @@ class Live:
         """
         raise NotImplementedError
 
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return rates, specific force and surfaces."""
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, float | None]:
+        """Return rates, specific force, surfaces, and true airspeed, m/s, if there is a pitot."""
         raise NotImplementedError
 
     def _attitude(self) -> Sequence[float]:
         """Return roll, pitch, yaw, rad."""
         raise NotImplementedError
-
-    def _airspeed(self) -> float | None:
-        """Return the true airspeed, m/s; None for a vehicle without a pitot tube."""
-        return None
 
     def command(
         self,
@@ -231,21 +227,20 @@ class Live:
 
     def sample(self) -> Sample:
         """Return a measurement of the present state; call it once for each sample."""
-        sensors, (rates, force, surfaces) = self._sensors, self._state()
+        sensors, (rates, force, surfaces, airspeed) = self._sensors, self._state()
         gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise[:2])
         return Sample(
             time=self.time,
             rates=rates,
             measured_rates=rates + np.asarray(sensors.gyro_bias) + sensors.gyro_noise * gyro,
             measured_force=force + sensors.accelerometer_noise * accelerometer,
-            measured_airspeed=self._measured_airspeed(),
+            measured_airspeed=self._measured(airspeed),
             attitude=np.array(self._attitude()),
             surfaces=surfaces,
         )
 
-    def _measured_airspeed(self) -> float | None:
-        sensors, airspeed = self._sensors, self._airspeed()
-        every = self._substeps * airspeed_step(sensors.rate)
+    def _measured(self, airspeed: float | None) -> float | None:
+        sensors, every = self._sensors, self._substeps * airspeed_step(self._sensors.rate)
         if airspeed is None or sensors.airspeed_noise is None or self._step % every:
             return None
         error = sensors.airspeed_noise * float(self._noise[2].standard_normal())

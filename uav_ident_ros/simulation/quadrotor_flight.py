@@ -156,9 +156,9 @@ class LiveQuadrotor(Live):
     def _attitude(self) -> Sequence[float]:
         return self.state[3:6]
 
-    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _state(self) -> tuple[FloatArray, FloatArray, FloatArray, None]:
         surfaces = QUADROTOR.inputs(np.array(self.speeds), self.trim) + self.trim
-        return np.array(self.state[:3]), np.array(self.loads()[0]), surfaces
+        return np.array(self.state[:3]), np.array(self.loads()[0]), surfaces, None
 
     @property
     def _sinking(self) -> float:
