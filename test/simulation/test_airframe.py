@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from uav_ident_ros.simulation.aircraft import Aircraft
-from uav_ident_ros.simulation.airframe import FOLDER, airframe, airframe_names
+from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.flight import SimulationError
 
 TEXT = """\
@@ -83,16 +83,6 @@ def test_a_wrong_file_is_named_with_the_correct_value(
 def test_the_error_of_an_unknown_name_lists_the_known_names() -> None:
     with pytest.raises(SimulationError, match=r"'ufo' .*c172p.*NAME\.yaml"):
         airframe("ufo")
-
-
-def test_the_files_are_installed() -> None:
-    """`pip install` and colcon copy the files of `package_data`."""
-    setup = (Path(__file__).parents[2] / "setup.py").read_text()
-    for suffix in {
-        path.relative_to(FOLDER.parent).parent / f"*{path.suffix}" for path in FOLDER.rglob("*.*")
-    }:
-        parent = suffix.as_posix().replace("ultra_stick_25e", "*")
-        assert f'"simulation/{parent}"' in setup
 
 
 def test_a_jsbsim_aircraft_writes_no_output_files(

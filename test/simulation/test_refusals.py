@@ -55,7 +55,6 @@ REFUSED: list[tuple[str, Callable[[], object]]] = [
     ("diverges", lambda: flown(initial_rates=(1e5, 1e5, 1e5))),
     ("no whole number", lambda: LightFlight((), 1.0, actuator_rate=60.0).fly()),
     ("lost", lambda: LightFlight((LONG_DOUBLET,), 10.0).fly()),
-    ("c172p", lambda: jsbsim(aircraft="ufo")),
     ("turbulence", lambda: jsbsim(turbulence=9)),
     ("bank", lambda: jsbsim(bank=90.0)),
     ("duration", lambda: jsbsim(duration=float("nan"))),
