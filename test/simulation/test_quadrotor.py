@@ -71,13 +71,6 @@ SENSORS = Sensors(rate=100.0, gyro_noise=0.005, accelerometer_noise=0.05)
 START_NS = 1_700_000_000 * 10**9
 
 
-class Level:
-    """Attitude loop towards level flight."""
-
-    def rates(self, _: float, roll: float, pitch: float, _dt: float) -> FloatArray:
-        return np.array([-roll, -pitch, 0.0])
-
-
 def flown(
     seconds: float,
     *faults: str,
@@ -95,8 +88,9 @@ def flown(
     chosen = LAWS[controller.get("law", "incremental")]
     law = RateController(source, known, limits, controller["delay"], chosen, adaptive)
     craft = LiveQuadrotor(SENSORS, 0.01, [parse_fault(text) for text in faults])
-    guide = Manoeuvres(bank=0.2, pitch=0.2, hold=(2.0, 4.0), airspeed=1000.0, seed=0)
-    loop = Loop(craft, craft.trim, guide if identifier or adaptive else Level(), law, identifier)
+    most = 0.2 if identifier or adaptive else 0.0
+    guide = Manoeuvres(bank=most, pitch=most, hold=(2.0, 4.0), airspeed=1000.0, seed=0)
+    loop = Loop(craft, craft.trim, guide, law, identifier)
     errors = []
     while craft.time < seconds:
         sample, reference = loop.answer()
