@@ -83,6 +83,7 @@ def test_options_apply_to_the_bag_and_its_parameters(tmp_path: Path) -> None:
         ("--noise -1", "gyro_noise"),
         ("--amplitude nan 0 0 0", "--amplitude"),
         ("--bank 20", "--bank"),
+        ("--airspeed-noise 0", "--airspeed-noise belongs to an aircraft"),
         ("--jsbsim c172p --gusts 1", "--gusts"),
         ("--plant small_uav --jsbsim c172p", "--jsbsim"),
         ("--input sweep", "sweep"),

@@ -168,7 +168,7 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         else (("turbulence", "bank", "speed", "airspeed_noise"), "an aircraft (--jsbsim)")
     )
     for name in others:
-        if getattr(options, name):
+        if getattr(options, name) != parser.get_default(name):
             parser.error(f"--{name.replace('_', '-')} belongs to {owner}")
     if options.plant == QUADROTOR and options.autopilot:
         parser.error("--autopilot: the quadrotor always has one")
