@@ -31,6 +31,27 @@ def test_a_good_identification_is_usable_but_not_in_its_first_half_minute() -> N
     assert {e.state for e in flying.since(estimates, 1.0, 29.0)} == {"learning"}
 
 
+def test_a_flying_wing_without_a_rudder_is_usable_once_its_mixing_says_so() -> None:
+    """Nothing can move a rudder that is not there: the prediction of the yaw rate decides."""
+    elevons = {name: peak for name, peak in flying.PEAKS.items() if name != "dr"}
+    wing = flying.light_measured(34.0, elevons, yaw_damper=0.0)
+    _, estimates = flying.identified(wing, actuators__mixing__dr=[0.0] * 4)
+    last = estimates[-1]
+    assert (last.usable, last.state, last.reason) == (True, "converged", "")
+    _, estimates = flying.identified(wing)  # a rudder that has never moved
+    assert estimates[-1].usable_rows == (True, True, False)
+    assert "move dr" in estimates[-1].reason
+
+
+def test_a_flying_wing_without_a_rudder_must_predict_its_yaw_rate() -> None:
+    elevons = {name: peak for name, peak in flying.PEAKS.items() if name != "dr"}
+    wing = flying.light_measured(34.0, elevons, yaw_damper=0.0)
+    dense = {"actuators__mixing__dr": [0.0] * 4, "supervision__min_fit": 99.9}
+    _, estimates = flying.identified(wing, **dense)
+    assert "fit of r of late" in estimates[-1].reason
+    assert not any(estimates[-1].usable_rows)
+
+
 def test_learning_does_not_pause_for_samples_slower_than_ticks() -> None:
     slow = measure(flying.plant_flight(20.0), Sensors(rate=10.0, gyro_noise=0.02), seed=2)
     _, estimates = flown(slow)

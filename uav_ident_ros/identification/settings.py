@@ -295,6 +295,10 @@ class ActuatorSettings:
         shared = zip(rows.de, rows.da, rows.dth, strict=False)
         return any(dth and (de or da) for de, da, dth in shared)
 
+    def has(self, name: str) -> bool:
+        """Whether the vehicle has the input `name`, one of de dr da dth: its row is not zero."""
+        return any(getattr(self.mixing, name))
+
 
 @dataclass(frozen=True)
 class FilterSettings:

@@ -269,7 +269,8 @@ class Supervisor:
 
         A row is usable if it has lately predicted the next second better than holding the rate
         does. Its main control derivative must have a small sigma, and must have been confirmed
-        recently by the motion of its input. Evidence against one that is not known is cleared.
+        recently by the motion of its input. Evidence against one that is not known is cleared. The
+        yaw of an aircraft without a rudder has no such derivative: its prediction alone counts.
         """
         self._sigma = sigma
         young = "" if running.predictions else "no prediction of one second is complete yet"
@@ -285,15 +286,24 @@ class Supervisor:
             if doubt:
                 self.confirmed.forget_contradictions(i)
         relearning = self._relearned(t, coefficients, sigma)
+
+        def of_input(i: int) -> str:
+            """Return the reason against a row by its main input; empty if there is none."""
+            if not self.settings.actuators.has(MAIN_INPUTS[ROWS[i]]):
+                return ""
+            return (
+                _unknown_input(settings, i, main.item(i), beside.item(i))  # late or not
+                or _incomplete(i, float(estimator.model_error[i]), settings.min_t_ratio)
+                or unknown[i]
+                or self.confirmed.doubt(i)
+            )
+
         self.verdict = tuple(
             relearning.get(i)
             or denied[i]
             or young
             or _poor_fit(settings, running, i)
-            or _unknown_input(settings, i, main.item(i), beside.item(i))  # late or not
-            or _incomplete(i, float(estimator.model_error[i]), settings.min_t_ratio)
-            or unknown[i]
-            or self.confirmed.doubt(i)
+            or of_input(i)
             for i in range(len(ROWS))
         )
         self.proven = self.proven or not any(self.verdict)
