@@ -102,6 +102,8 @@ EARLY = replace(SURE, delay=-0.015, sigma=0.009)
 SPLIT = replace(SURE, total=0.062, lag=0.05, lag_sigma=0.009)
 OPEN = replace(SURE, total=0.03, lag=0.04, lag_sigma=0.025)
 
+WING = Settings.from_values({"structure": "augmented", "actuators.mixing.dr": [0.0] * 4})
+
 
 def yaw(damping: float) -> dict[str, Any]:
     return {"values": with_entry(E.values, "rdot/r", damping)}
@@ -151,6 +153,9 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      {"setup": (EARLY.contradiction(0.0),) * 3, "delay": EARLY, "delay_in_use": 0.0},
      "^the inputs act 15 ms earlier than .*, or lower 'actuators.time_constant'$"),
     ("weak_excitation", moves(0.1, 1e-6, 0.1, 0.1), moves(0.1, 0.0, 0.1, 0.1),
+     "the rudder never moved"),
+    # a flying wing without a rudder
+    ("weak_excitation", moves(0.1, 0.0, 0.1, 0.1) | {"settings": WING}, moves(0.1, 0.0, 0.1, 0.1),
      "the rudder never moved"),
     ("wrong_delay", {"delay": SURE, "delay_in_use": SURE.delay - DELAY_OFF * JUST_BELOW},
      {"delay": replace(SURE, delay=0.08), "delay_in_use": 0.0},

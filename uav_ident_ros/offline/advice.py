@@ -121,10 +121,12 @@ def gated(e: Evidence) -> Iterator[str]:
 
 
 def weak_excitation(e: Evidence) -> Iterator[str]:
-    """Yield the surfaces that moved too little to identify their main derivatives."""
+    """Yield the surfaces of the vehicle that moved too little to identify their derivatives."""
     names = AXIS_INPUT_WORDS if e.settings.actuators.multirotor else INPUT_WORDS
     needed = e.settings.supervision.min_t_ratio
     for name, derivative in MAIN_DERIVATIVES.items():
+        if not e.settings.actuators.has(name):
+            continue
         word, ratio = names[name], e.t_ratio(derivative, setup=False)
         if e.input_spread[INPUTS.index(name)] < STILL:
             yield f"the {word} never moved: its effect is unknown; move it"
