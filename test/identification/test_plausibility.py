@@ -319,7 +319,7 @@ def test_an_imu_that_points_backwards_is_never_usable_where_signs_are_expected()
     own = {"imu__rpy": (0.0, 0.0, math.pi), "supervision__expected_signs": signs}
     estimates = identified(measured, **own)[1]
     assert not any(usable for e in estimates for usable in e.usable_rows)
-    assert "the Imu may point backwards; correct 'imu.rpy'" in estimates[-1].reason
+    assert "the Imu may point backwards; correct imu.rpy" in estimates[-1].reason
     assert not identified(measured, supervision__expected_signs=signs)[0].plausibility.noted
 
 
@@ -359,6 +359,14 @@ def test_a_multirotor_has_no_surfaces(given: dict[str, Any], swapped: str, rever
         for t in (1.0, 6.0):
             learning.found(t, values, 1.0)
         assert expected_text in learning.checks.fault
+
+
+def test_a_reversed_sign_may_be_an_axis_of_the_imu() -> None:
+    """Gravity does not show an Imu that points backwards, the surfaces' signs do."""
+    learning = Learning()
+    for t in (1.0, 6.0):
+        learning.found(t, REVERSED, 1.0)
+    assert learning.checks.fault.endswith("an axis of the Imu is reversed: see imu.rpy")
 
 
 def test_a_finding_on_coefficients_stays_until_it_is_the_less_likely() -> None:

@@ -439,10 +439,13 @@ def coefficient_finding(
         if spread > 0.0 and value * (1.0 if sign == "+" else -1.0) < -sure * spread:
             wrong.append(f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}")
     if wrong:
-        cure = f"a {actuator} is connected the wrong way round; turn it, or its sign in "
+        cure = (
+            f"a {actuator} is connected the wrong way round; turn it, or its sign in "
+            "actuators.mixing. If that is right, an axis of the Imu is reversed: see imu.rpy"
+        )
         if len(wrong) > 1:
-            cure = "the Imu may point backwards; correct 'imu.rpy', or the signs in "
-        return Finding("signs", f"{', '.join(wrong)}: {cure}actuators.mixing")
+            cure = "the Imu may point backwards; correct imu.rpy, or the signs in actuators.mixing"
+        return Finding("signs", f"{', '.join(wrong)}: {cure}")
     if not exceeds("pdot/dr", "pdot/da", sure) or exceeds("rdot/dr", "rdot/da", SURE):
         return None
     return Finding(
