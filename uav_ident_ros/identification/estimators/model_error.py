@@ -9,9 +9,8 @@ damping absorbs most of it. Each row is therefore solved once more with addition
 with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16).
 Against the input's effect, c1 is saturation, c2 lateness, and c3 an effect that falls with
 frequency, as by a servo lag in whose place a delay is in use. The control derivative is then off by
-about as much. A c2 that adds to the effect is an input that acts early, by the time c2 over the
-effect: a configured lag or delay is too long, and on a well damped axis derivatives may be off by
-several times.
+about as much. A c2 that adds to the effect is an input that acts early: a configured lag or delay
+is too long, and all derivatives may be off by several times.
 
 An accelerometer h above the centre of gravity measures `h pdot` as side force. In the row of ay,
 with p in the place of u, c2 is h.
@@ -83,37 +82,28 @@ class ModelError:
         # Largest loss by saturation, lateness or attenuation, relative to the input's effect, rms,
         # at most 1; 0 where not significant
         self.share: FloatArray = np.zeros(len(ROWS))
-        # _early, _ahead: Gain by earliness, relative to the input's effect, and the time, s
         self._early: FloatArray = np.zeros(len(ROWS))
-        self._ahead: FloatArray = np.zeros(len(ROWS))
         # The same by lateness, significant or not, beyond what feedback may cause
         self._late: FloatArray = np.zeros(len(ROWS))
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
 
-    def relative_error(
-        self,
-        known: BoolArray,  # (3,) Rows whose main input is known
-        damping: FloatArray,  # (3,) Of each row, 1/s
-    ) -> FloatArray:
+    def relative_error(self, known: BoolArray) -> FloatArray:
         """Return the most likely error of each row, (3,): `share`, lateness or earliness.
 
         Lateness counts before it is significant: noise must not hide a servo that is too slow for
         its commands. Delay and lag are one setting for all inputs, and only an error of it makes a
-        known input early. The earliness of any of the rows `known` therefore counts for all. An
-        input early by T appears larger by the share T times the damping, which of a quick axis is
-        more than the gain at the input's own frequencies.
+        known input early. The earliness of any of the rows `known`, (3,), therefore counts for all.
         """
         likely = np.maximum(self.share, self._late)
-        early, ahead = (v.max(initial=0.0, where=known) for v in (self._early, self._ahead))
-        return np.maximum(likely, np.clip(np.maximum(early, ahead * damping), 0.0, 1.0))
+        return np.maximum(likely, self._early.max(initial=0.0, where=known))
 
     def forget(self, row: int) -> None:
         """Clear the sums of a row that is learned anew."""
         self._gathered.clear()
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
-        self.share[row] = self._early[row] = self._ahead[row] = self._late[row] = 0.0
+        self.share[row] = self._early[row] = self._late[row] = 0.0
 
     def add(
         self,
@@ -183,13 +173,10 @@ class ModelError:
         self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
-            found, size, _, informative = self._found(newest, (_SATURATION,), ratio, effect)
+            found, _, _, informative = self._found(newest, (_SATURATION,), ratio, effect)
             moments = informative[: len(ROWS)]
         early = np.clip(-found[: len(ROWS), 0, 1], 0.0, 1.0)
         self._early = np.where(moments, early, self._early)
-        slope = size[: len(ROWS), 0, 1]
-        ahead = np.divide(slope, effect, out=np.zeros_like(slope), where=early > 0.0)
-        self._ahead = np.where(moments, ahead, self._ahead)
 
     def _found(
         self,

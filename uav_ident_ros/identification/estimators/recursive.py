@@ -18,7 +18,6 @@ from uav_ident_ros.identification.estimators.estimator import Estimator, SecondE
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, Solution
 from uav_ident_ros.identification.estimators.model_error import ModelError, known_inputs
 from uav_ident_ros.identification.gates import ExcitationGate
-from uav_ident_ros.identification.linearisation import damping
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import MAIN_PLACES, Feedback
@@ -82,7 +81,7 @@ class RecursiveRegression(Estimator):
         self._white_share: FloatArray | None = None
         parts = (True, True) if instrumental else (False, True, True)
         super().__init__(settings, start, parts, settings.forgetting_time)
-        self._cutoff, self._airspeed = settings.filter.cutoff, settings.airspeed.reference
+        self._cutoff = settings.filter.cutoff
         self._gate = ExcitationGate(start.free[:3], settings.supervision)
         self._begin_changes()
         self._solve()
@@ -145,9 +144,7 @@ class RecursiveRegression(Estimator):
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
         known_now = known_inputs(self.coefficients, self.sigma, self._error.share)
-        settling = damping(self._structure, self.coefficients, self._airspeed)
-        self.model_error = self._error.relative_error(known_now, settling)
-        self.sure_error = self._error.share
+        self.model_error, self.sure_error = self._error.relative_error(known_now), self._error.share
         # Where gusts alone make the aircraft roll, their side force looks like a height.
         self.height = self._error.height if known_now[0] else 0.0
         weight = self._row_weights(weight)
