@@ -225,7 +225,8 @@ def rolled(seed: int, injected: float, after: float = 0.0) -> tuple[FloatArray, 
         estimator.update(samples, *estimator.conditioned(samples), np.ones(3))
     plain = estimator.information.solve(estimator.coefficients).values[0]
     places = tuple(zip(*map(structure.index, ("pdot/p", "pdot/da")), strict=True))
-    share = float(estimator.information.injected_share()[0])
+    information = estimator.information
+    share = float(information.injected_share(information.sums_of())[0])
     return estimator.coefficients[places], plain[places], share
 
 

@@ -8,7 +8,7 @@ after a transport delay.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -184,13 +184,12 @@ class AttitudeModel:
             Inputs; only regressors of the author's own depend on them.
         """
         p, q, r, *angles = (float(value) for value in self._state(x))
-        condition = Condition(math.inf, (p, q, r), inputs=tuple(map(float, u)))
+        rates, inputs = (p, q, r), tuple(map(float, u))
+        condition = Condition(math.inf, rates, inputs=inputs)
         if self.structure.has_flow:
-            flow, (beta, alpha) = self._flow_state(), angles
-            condition = replace(
-                condition, airspeed=flow.airspeed, roll=flow.roll, pitch=flow.pitch,
-                beta=beta, alpha=alpha,
-            )  # fmt: skip
+            flow = self._flow_state()
+            at = flow.airspeed, rates, flow.roll, flow.pitch
+            condition = Condition(*at, *angles, inputs=inputs)
         return linearise(self.structure, self.values, condition)
 
     def invert(

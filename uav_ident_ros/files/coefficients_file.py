@@ -18,7 +18,6 @@ One format serves ``coefficients.yaml``, ``initial_coefficients_file`` and the s
 Numbers are written with all bits. Loading checks every entry.
 """
 
-import errno
 import glob
 import json
 import math
@@ -126,8 +125,10 @@ def remove_leftovers(path: Path | str) -> None:
 def _is_running(process: int) -> bool:
     try:
         os.kill(process, 0)
-    except OSError as error:  # any other error: it belongs to another user
-        return error.errno != errno.ESRCH
+    except ProcessLookupError:
+        return False
+    except OSError:  # it belongs to another user
+        return True
     return True
 
 

@@ -10,7 +10,7 @@ of Flight, 1996, ch. 6).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,8 @@ class Condition:
     # Sideslip and angle of attack, rad; zero where ay and az are zero
     beta: float = 0.0
     alpha: float = 0.0
-    inputs: tuple[float, ...] = (0.0,) * len(INPUTS)  # Only of the author's own regressors
+    # Only of the author's own regressors
+    inputs: tuple[float, ...] = field(default=(0.0,) * len(INPUTS), kw_only=True)
 
 
 def level_flight(structure: Structure, values: FloatArray, airspeed: float) -> Condition:
@@ -115,11 +116,11 @@ def linearise(
 
 def _own_slopes(structure: Structure, condition: Condition) -> tuple[FloatArray, FloatArray]:
     """Return derivatives of the author's own regressors by rates, (k, 3), and inputs, (k, 4)."""
+    if not structure.own:
+        return np.zeros((0, len(RATES))), np.zeros((0, len(INPUTS)))
     ahead = ROUNDING * np.eye(len(RATES) + len(INPUTS))
     point = np.array((*condition.rates, *condition.inputs))
     x, u = np.split(np.stack((point + ahead, point - ahead)), [len(RATES)], axis=2)
-    if not structure.own:
-        return np.zeros((0, len(RATES))), np.zeros((0, len(INPUTS)))
     after, before = structure.own_values(x, u)
     by_rates, by_inputs = np.split((after - before).T / (2.0 * ROUNDING), [3], axis=1)
     return by_rates, by_inputs

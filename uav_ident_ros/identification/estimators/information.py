@@ -201,7 +201,7 @@ class Information:
         """Replace initial coefficients, standard deviations, and flags of the free ones."""
         self.start = start
         used = self.layout.used
-        self._initial = np.where(used, start.values[self._i, self._j], 0.0)[..., None]
+        self._initial = self._entries(start.values)
         self.free: BoolArray = used & start.free[self._i, self._j]
         self._precision = np.where(self.free, start.precision[self._i, self._j], 0.0)
         self._prior_variance = np.where(self.free, start.sigma[self._i, self._j] ** 2, 0.0)
@@ -277,16 +277,19 @@ class Information:
                 self.sums.weigh(np.exp(full * self._score_time / -self.forgetting_time))
             self._score[:, full] = self._score_time[full] = 0.0
 
-    def injected_share(self) -> FloatArray:
+    def injected_share(self, sums: Sums) -> FloatArray:
         """Return the share of the main inputs' power that was injected, of moment rows, (3,)."""
-        sums, moments = self.sums_of(slice(1)), np.arange(len(ROWS))
+        moments = np.arange(len(ROWS))
         power = sums.zz[0, moments, self.layout.main, self.layout.main]
         return np.asarray(sums.injected[0, moments] / np.maximum(power, POWERLESS))
 
     def linear_of(self, values: FloatArray) -> FloatArray:
         """Return coefficients of the regression problem, (rows, k), of the structure's (R, n)."""
-        entries = np.where(self.layout.used, values[self._i, self._j], 0.0)
-        return np.asarray((self._transform(values) @ entries[..., None])[..., 0])
+        return np.asarray((self._transform(values) @ self._entries(values))[..., 0])
+
+    def _entries(self, values: FloatArray) -> FloatArray:
+        """Return coefficients of the structure, (R, n), row by row of the problem, (rows, k, 1)."""
+        return np.where(self.layout.used, values[self._i, self._j], 0.0)[..., None]
 
     @property
     def _plain(self) -> BoolArray:

@@ -225,7 +225,7 @@ class RecursiveRegression(Estimator):
         """
         plain, white, *_ = np.square(sigmas)
         share = plain / (plain + white + TINY)
-        injected = self._row_weights(self.information.injected_share())
+        injected = self._row_weights(self.information.injected_share(solution.sums))
         injected /= np.maximum(self.information.correction(solution.sums)[0] - 1.0, 1.0)
         rows, entries = np.nonzero(self._layout.used)
         by_place = np.zeros_like(share)
