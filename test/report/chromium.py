@@ -105,8 +105,11 @@ class Browser:
         return json.loads(message)
 
     def prefer(self, scheme: str) -> None:
-        """Set the preferred colour scheme, light or dark."""
-        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        """Set the preferred colour scheme, light or dark; links jump without animation."""
+        features = [
+            {"name": "prefers-color-scheme", "value": scheme},
+            {"name": "prefers-reduced-motion", "value": "reduce"},
+        ]
         self.call("Emulation.setEmulatedMedia", media="", features=features)
 
     def open(self, page: Path, width: int, height: int = 900) -> None:

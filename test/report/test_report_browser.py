@@ -81,14 +81,25 @@ def x_ranges(browser: Browser) -> dict[str, list[float]]:
     return {name: browser.value(X_RANGE.format(name)) for name in LINKED}
 
 
+IN_WINDOW = """
+(() => {{ const r = document.querySelector('{}').getBoundingClientRect();
+    return r.top < innerHeight && r.bottom > 0; }})()
+"""
+"""Whether part of an element is in the window."""
+
 NEXT_FRAME = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 """Resolved after the page has drawn the effect of an event."""
+
+
+def next_frame(browser: Browser) -> None:
+    """Wait until the page has drawn the effect of an event."""
+    browser.call("Runtime.evaluate", expression=NEXT_FRAME, awaitPromise=True)
 
 
 def move(browser: Browser, kind: str, x: float, y: float, **more: object) -> None:
     """Send a mouse event and wait for the next drawn frame."""
     browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
-    browser.call("Runtime.evaluate", expression=NEXT_FRAME, awaitPromise=True)
+    next_frame(browser)
 
 
 def middle_of(browser: Browser, chart: str) -> tuple[float, float]:
@@ -119,7 +130,9 @@ def test_the_report_fits_the_window_and_requests_nothing(
     assert count == browser.value("document.querySelectorAll('section > h2').length")
     for k in range(count):  # the contents link to the headings
         browser.value(f"document.querySelectorAll('nav a')[{k}].click()")
+        next_frame(browser)  # with which the page scrolls
         assert browser.value("document.querySelector(':target').tagName") == "SECTION"
+        assert browser.value(IN_WINDOW.format(":target"))
 
 
 def test_zoom_and_drag_apply_to_all_charts_and_a_tooltip_has_the_value(
@@ -162,7 +175,7 @@ def test_zoom_and_drag_apply_to_all_charts_and_a_tooltip_has_the_value(
 def test_the_page_follows_the_preferred_colour_scheme(browser: Browser, report: Path) -> None:
     def brightness(scheme: str) -> int:
         browser.prefer(scheme)
-        browser.call("Runtime.evaluate", expression=NEXT_FRAME, awaitPromise=True)
+        next_frame(browser)
         with Image.open(io.BytesIO(browser.screenshot(x=2, y=2, width=8, height=8))) as corner:
             return int(sum(corner.convert("RGB").getpixel((4, 4))))
 
