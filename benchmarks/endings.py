@@ -31,6 +31,10 @@ from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess, own_domain
 
+sys.path.insert(0, str(bench.ROOT / "test"))
+
+from programs import handled
+
 BAG = bench.ROOT / "bags" / "multisine"
 TOPICS = ("/imu/data", "/actuators")
 
@@ -187,7 +191,7 @@ def signals(
 def _live_until_learned(feeder: Feeder, node: NodeProcess, life: float, *, started: bool) -> None:
     """Play to a node for `life` s after it handles signals or, if `started`, has learned."""
     limit = time.monotonic() + PATIENCE
-    while not _handles(node.pid) and time.monotonic() < limit:
+    while not handled(node.pid, signal.SIGTERM) and time.monotonic() < limit:
         time.sleep(STEP)
     feeder.player.spin_for(0.2)  # receive the last node's outputs first
     feeder.player.outputs.clear()
@@ -196,13 +200,6 @@ def _live_until_learned(feeder: Feeder, node: NodeProcess, life: float, *, start
     end = time.monotonic() + life
     while time.monotonic() < end:
         feeder.feed()
-
-
-def _handles(pid: int) -> bool:
-    """Return whether a process has a handler for SIGTERM."""
-    status = Path(f"/proc/{pid}/status").read_text()
-    caught = int(status.split("SigCgt:")[1].split()[0], 16)
-    return bool(caught >> (signal.SIGTERM - 1) & 1)
 
 
 PROGRAMS: dict[str, tuple[Callable[..., str], int, str]] = {

@@ -27,7 +27,7 @@ from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import VEHICLES, PlantFlight
 from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 from uav_ident_ros.simulation.quadrotor_flight import QuadrotorFlight
 
@@ -78,7 +78,7 @@ def plan_of(
     if (name := values.pop("plant", "")) == QUADROTOR:
         kind = QuadrotorFlight
     elif name:
-        kind, values["vehicle"] = PlantFlight, vehicle(name)
+        kind, values["vehicle"] = PlantFlight, VEHICLES[name]
     plan: Plan = build(kind, values, "flight", NESTED)
     return plan
 

@@ -24,7 +24,7 @@ from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import Plan
 from uav_ident_ros.simulation.noise import Measurements, Message, Sensors, fed, measure
-from uav_ident_ros.simulation.plant import PlantFlight, vehicle
+from uav_ident_ros.simulation.plant import SMALL_UAV, PlantFlight
 from uav_ident_ros.simulation.recording import parameters
 
 AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
@@ -46,7 +46,7 @@ def flight_of(plan: Plan) -> Flight:
 def plant_flight(duration: float, **changes: Any) -> Flight:
     """Multisines on the small aircraft with known coefficients."""
     values: dict[str, Any] = {
-        "vehicle": vehicle("small_uav"),
+        "vehicle": SMALL_UAV,
         "segments": (Segment("multisine", amplitudes=AMPLITUDES, seed=1),),
         "duration": duration,
         "rate": 200.0,

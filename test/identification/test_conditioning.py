@@ -15,10 +15,10 @@ from uav_ident_ros.simulation.channels import CHANNEL_SETS
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise
 from uav_ident_ros.simulation.noise import Sensors, measure
-from uav_ident_ros.simulation.plant import vehicle
+from uav_ident_ros.simulation.plant import SMALL_UAV
 
 # Inertias are known: rate products that still converge would drift during the gap.
-BODY = vehicle("small_uav").inertia
+BODY = SMALL_UAV.inertia
 assert BODY is not None
 INERTIA = (BODY.ix, BODY.iy, BODY.iz, BODY.ixz)
 

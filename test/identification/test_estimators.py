@@ -12,7 +12,7 @@ from uav_ident_ros.identification.rigid_body import product_coefficients
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
-from uav_ident_ros.simulation.plant import vehicle
+from uav_ident_ros.simulation.plant import SMALL_UAV
 
 STRUCTURE = "throttle_coupled"
 BOTH = pytest.mark.parametrize("estimator", ["least_squares", "instrumental_variable"])
@@ -74,7 +74,7 @@ def test_sigma_covers_the_error(estimator: str) -> None:
 
 
 def test_known_inertias_fix_the_rate_products_and_fixed_ones_have_no_sigma() -> None:
-    body, names = vehicle("small_uav").inertia, ("pdot/dth", "rdot/dth")
+    body, names = SMALL_UAV.inertia, ("pdot/dth", "rdot/dth")
     assert body is not None
     m = measured(8.0)
     known = {"model__inertia": (body.ix, body.iy, body.iz, body.ixz), "fixed_coefficients": names}

@@ -14,14 +14,14 @@ from uav_ident_ros.identification.settings import AirspeedSettings, Settings
 from uav_ident_ros.identification.speed import SpeedScaling
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs
-from uav_ident_ros.simulation.plant import vehicle
+from uav_ident_ros.simulation.plant import SMALL_UAV
 
 RATE = 200.0
 STEPS = 2
 """Integration steps between two samples."""
 REFERENCE = 20.0
 START_NS = 1_700_000_000 * 10**9
-PLANT = vehicle("small_uav")
+PLANT = SMALL_UAV
 STRUCTURE = STRUCTURES[PLANT.structure]
 
 

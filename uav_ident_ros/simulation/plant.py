@@ -93,11 +93,6 @@ VEHICLES = {one.name: one for one in (SMALL_UAV, PAPER_PRINTED)}
 """The plants by name."""
 
 
-def vehicle(name: str) -> Vehicle:
-    """Return the plant of that name."""
-    return VEHICLES[name]
-
-
 @dataclass(frozen=True, kw_only=True)
 class PlantFlight(Plan):
     """Flight of a structure plant."""
