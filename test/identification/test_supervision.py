@@ -130,6 +130,10 @@ def test_evidence_against_an_unknown_estimate_does_not_count_against_a_known_one
     estimator.model_error = np.full(3, 0.9)
     assert doubt(np.abs(estimator.coefficients)).startswith("pdot/da has a t-ratio of 1.0")
     assert doubt(estimator.sigma).startswith("pdot follows da badly: 90 %")
+    estimator.answers = np.array([0.1, 0.2, 0.45, 0.3])
+    assert doubt(np.abs(estimator.coefficients)).endswith(
+        "move da by itself, 45 % of its motion answers disturbances (~/excite)"
+    )
 
 
 def test_without_adaptation_the_fit_is_low_on_the_axis_with_a_wrong_value() -> None:

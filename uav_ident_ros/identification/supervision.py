@@ -27,6 +27,7 @@ from uav_ident_ros.identification.sampling import Block, join
 from uav_ident_ros.identification.scales import LONG_MEMORY, MEMORY, OUTLYING, SHORT_MEMORY
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
+    INPUTS,
     MAIN_DERIVATIVES,
     MAIN_INPUTS,
     ROWS,
@@ -280,7 +281,8 @@ class Supervisor:
         main, spread = coefficients[MAIN_DERIVATIVES], sigma[MAIN_DERIVATIVES]
         beside = sigma_without_error(spread, main, estimator.sure_error)
         unknown = [
-            _unknown_input(settings, i, main.item(i), spread.item(i)) for i in range(len(ROWS))
+            _unknown_input(settings, i, main.item(i), spread.item(i), estimator.answers)
+            for i in range(len(ROWS))
         ]
         for i, doubt in enumerate(unknown):
             if doubt:
@@ -292,7 +294,8 @@ class Supervisor:
             if not self.settings.actuators.has(MAIN_INPUTS[ROWS[i]]):
                 return ""
             return (
-                _unknown_input(settings, i, main.item(i), beside.item(i))  # late or not
+                # late or not
+                _unknown_input(settings, i, main.item(i), beside.item(i), estimator.answers)
                 or _incomplete(i, float(estimator.model_error[i]), settings.min_t_ratio)
                 or unknown[i]
                 or self.confirmed.doubt(i)
@@ -345,13 +348,22 @@ def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str
     )
 
 
-def _unknown_input(settings: SupervisionSettings, row: int, value: float, sigma: float) -> str:
+def _unknown_input(
+    settings: SupervisionSettings,
+    row: int,
+    value: float,
+    sigma: float,
+    answers: FloatArray,  # (4,) Share of each input that answers disturbances
+) -> str:
     """Return the reason against a row if its main control derivative is unknown; else empty."""
     ratio = abs(value) / sigma if sigma > 0.0 else (np.inf if value else 0.0)
     needed, name, move = settings.min_t_ratio, ROWS[row], MAIN_INPUTS[ROWS[row]]
     if ratio >= needed:
         return ""
-    return f"{name}/{move} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {move}"
+    reason = f"{name}/{move} has a t-ratio of {ratio:.1f} ({needed:.1f} needed): move {move}"
+    if share := answers.item(INPUTS.index(move)):
+        reason += f" by itself, {100.0 * share:.0f} % of its motion answers disturbances (~/excite)"
+    return reason
 
 
 def _incomplete(row: int, share: float, t_ratio: float) -> str:
