@@ -136,6 +136,20 @@ def test_an_early_input_at_the_start_is_cleared_by_enough_later_samples(
     assert (error_model.relative_error(KNOWN_ROWS).max() < 0.01) == settled
 
 
+@pytest.mark.parametrize("noise", [0.3, 1.0, 1.5])
+def test_an_early_input_is_not_cleared_by_the_first_later_samples(noise: float) -> None:
+    """Too few to show it by themselves, they do not refute it either."""
+    error_model = ModelError(LAYOUT)
+    samples, _ = early(noise=noise)
+    start, later = np.split(samples.signals, [round(40.0 / DT)], axis=1)
+    shares(RowSamples(start, DT), error_model, settled=False)
+    lowest = 1.0
+    for second in np.split(later, 20, axis=1):
+        shares(RowSamples(second, DT), error_model)
+        lowest = min(lowest, error_model.relative_error(KNOWN_ROWS).min())
+    assert lowest > 0.12
+
+
 def test_the_model_error_stays_while_no_row_is_learned() -> None:
     error_model = ModelError(LAYOUT)
     found = shares(rolled(0.015, seconds=30.0), error_model)[-1]

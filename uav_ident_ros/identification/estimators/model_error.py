@@ -19,6 +19,7 @@ with p in the place of u, c2 is h.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,19 @@ def known_inputs(
     """
     value, spread = coefficients[MAIN_DERIVATIVES], sigma[MAIN_DERIVATIVES]
     return np.asarray(np.abs(value) > t_ratio * sigma_without_error(spread, value, share))
+
+
+class Losses(NamedTuple):
+    """Losses of the inputs' effect by one of several regressors, and by lateness beside it."""
+
+    found: FloatArray  # (rows, others, 2) Relative to the effect, rms
+    sure: FloatArray  # (rows, others, 2) The same, 0 where not significant
+    sigma: FloatArray  # (rows, others) Standard deviation of the lateness
+    size: FloatArray  # (rows, others, 2) Coefficients, 0 where not significant
+    # (rows,) Lateness less the most that feedback may cause, by the solution of smallest sigma
+    late: FloatArray
+    # (rows,) Whether the input moved in more blocks than it makes regressors, as a scatter needs
+    informative: BoolArray
 
 
 class ModelError:
@@ -163,35 +177,42 @@ class ModelError:
         count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
         if count <= k:
             return  # too few blocks for a scatter
-        found, size, late, informative = self._found(slice(count), _BESIDE_LATENESS, ratio, effect)
-        moments = informative[: len(ROWS)]
-        self._late = np.where(moments, np.clip(late[: len(ROWS)], 0.0, 1.0), self._late)
-        if informative[len(ROWS) :].all():
-            self.height = float(size[len(ROWS) :, 0, 1].sum())
+        losses = self._find(slice(count), _BESIDE_LATENESS, ratio, effect)
+        moments = losses.informative[: len(ROWS)]
+        late = np.clip(losses.late[: len(ROWS)], 0.0, 1.0)
+        self._late = np.where(moments, late, self._late)
+        if losses.informative[len(ROWS) :].all():
+            self.height = float(losses.size[len(ROWS) :, 0, 1].sum())
         # saturation, lateness next to it, and attenuation
-        taken = found[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
+        taken = losses.sure[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
         self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
-            found, _, _, informative = self._found(newest, (_SATURATION,), ratio, effect)
-            moments = informative[: len(ROWS)]
-        early = np.clip(-found[: len(ROWS), 0, 1], 0.0, 1.0)
-        self._early = np.where(moments, early, self._early)
+            losses = self._find(newest, (_SATURATION,), ratio, effect)
+        self._follow_earliness(losses)
 
-    def _found(
+    def _follow_earliness(self, losses: Losses) -> None:
+        """Take over a significant earliness; keep the last one unless these losses refute it.
+
+        Without that the few blocks after the start would clear what all together had shown.
+        """
+        rows = slice(len(ROWS))
+        found, sigma = -losses.found[rows, 0, 1], losses.sigma[rows, 0]
+        significant = losses.sure[rows, 0, 1] != 0.0
+        refuted = self._early > found + SURE * sigma
+        early = np.where(significant, np.clip(found, 0.0, 1.0), np.where(refuted, 0.0, self._early))
+        self._early = np.where(losses.informative[rows], early, self._early)
+
+    def _find(
         self,
         blocks: NDArray[np.intp] | slice,
         others: Sequence[int],
         ratio: FloatArray,
         effect: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-        """Return losses by the additional regressors, their coefficients, and determined rows.
+    ) -> Losses:
+        """Return the losses by the additional regressors: one of `others`, and lateness.
 
-        The first two are (rows, others, 2), of one of `others` and of lateness, 0 where not
-        significant. They are solved in units of rms and tested by their sigma. The third is the
-        loss by lateness, (rows,), significant or not, less the most that feedback may cause, by the
-        solution of `others` that determines it best. A row is determined if its input moved in more
-        blocks than it makes regressors: fewer leave no scatter.
+        They are solved in units of rms and tested by their sigma.
         """
         zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
         count, width = zy.shape[1:]
@@ -227,12 +248,13 @@ class ModelError:
         whole[: len(ROWS), :, 0] = effect[:, None] / main
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
         sure = extra**2 > DOUBTLESS**2 * variance
-        found, size = np.where(sure, away, 0.0), np.where(sure, extra * scale[..., -2:], 0.0)
+        size = np.where(sure, extra * scale[..., -2:], 0.0)
         # Saturation and attenuation leave different noise in the lateness beside them.
         main_effect = np.maximum(np.abs(whole[..., 0]), POWERLESS)
         bias, error = (np.sqrt(v[..., 1]) / main_effect for v in (answered, variance))
         better = range(len(zf)), error.argmin(axis=1)
-        return found, size, (away[..., 1] - bias)[better], informative
+        late = (away[..., 1] - bias)[better]
+        return Losses(away, np.where(sure, away, 0.0), error, size, late, informative)
 
 
 def _solved(
