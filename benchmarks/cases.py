@@ -140,7 +140,7 @@ def is_recorded(name: str) -> bool:
 @lru_cache(maxsize=2)
 def recorded(name: str) -> Case:
     """Return a recorded real flight."""
-    read = RATES[IMU_TYPE]
+    read = RATES[IMU_TYPE].read
     received: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
     log_ns: dict[str, list[int]] = {topic: [] for topic in TOPICS}
     with Bag(RECORDED / name) as bag:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.settings import Setting, Value, declarations
-from uav_ident_ros.messages.types import ACTUATORS, FRD_TYPES, RATES
+from uav_ident_ros.messages.types import ACTUATORS, RATES
 
 CONFIG = Path(__file__).resolve().parents[1] / "config" / "identifier.yaml"
 
@@ -57,7 +57,7 @@ def allowed_values(setting: Setting) -> str:
     if setting.name in ("imu.type", "actuators.type"):
         return "[these](#message-types)"
     if setting.choices:
-        return ", ".join(f"`{write_value(choice)}`" for choice in setting.choices)
+        return ", ".join(f"`{write_value(choice)}`" for choice in setting.words)
     return setting.allowed() if setting.bounded else setting.unit
 
 
@@ -106,7 +106,7 @@ def changeable() -> str:
 
 def rates_types() -> str:
     """Return the table of the message types of the rates."""
-    rows = [(f"`{name}`", "frd" if name in FRD_TYPES else "as set") for name in RATES]
+    rows = [(f"`{name}`", "frd" if own.frd else "as set") for name, own in RATES.items()]
     return markdown(("`imu.type`", "`imu.convention`"), rows)
 
 

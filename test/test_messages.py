@@ -13,16 +13,11 @@ from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.writing import NOT_MEASURED, UNKNOWN, jazzy_types
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ARMED
-from uav_ident_ros.identification.settings import (
-    ACTUATOR_TYPES,
-    AIRSPEED_TYPES,
-    ARMED_TYPES,
-    RATE_TYPES,
-    Settings,
-)
+from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.messages import types
 from uav_ident_ros.messages.feed import Feed, decode_imu_cdr
 from uav_ident_ros.messages.streams import STREAMS
+from uav_ident_ros.messages.types import RatesReading
 
 STAMP_NS = 1_700_000_001_250_000_003
 PX4_US = 1_700_000_001_250_007
@@ -71,6 +66,17 @@ ACTUATOR_MESSAGES: dict[str, tuple[Any, int | None]] = {
         M(timestamp=PX4_US, noutputs=4, output=np.array([*CHANNELS] + [0.0] * 12)), PX4_US * 1000),
 }  # fmt: skip
 
+SAMPLED = RatesReading(PX4_US * 1000, (1.0, 2.0, 3.0), None, "")
+RATES_MESSAGES: dict[str, tuple[Any, RatesReading]] = {
+    "sensor_msgs/msg/Imu": (
+        imu(), RatesReading(STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), "base_link")),
+    "px4_msgs/msg/VehicleAngularVelocity": (M(**PX4, xyz=[1.0, 2.0, 3.0]), SAMPLED),
+    "px4_msgs/msg/SensorCombined": (
+        M(timestamp=PX4_US, gyro_rad=np.array([1.0, 2.0, 3.0]), accelerometer_timestamp_relative=0,
+            accelerometer_m_s2=np.array([4.0, 5.0, 6.0])),
+        SAMPLED._replace(specific_force=(4.0, 5.0, 6.0))),
+}  # fmt: skip
+
 OPTIONAL = [
     ("std_msgs/msg/Float64", M(data=21.5), (None, 21.5)),
     ("std_msgs/msg/Float32", M(data=21.5), (None, 21.5)),
@@ -94,10 +100,11 @@ def reader(**actuators: Any) -> types.ActuatorReader:
 
 
 def test_every_declared_type_is_read() -> None:
-    assert tuple(types.RATES) == RATE_TYPES
-    assert tuple(types.ACTUATORS) == ACTUATOR_TYPES == tuple(ACTUATOR_MESSAGES)
-    assert (*types.AIRSPEEDS, *types.ARMINGS) == (*AIRSPEED_TYPES, *ARMED_TYPES)
+    assert types.RATES.keys() == RATES_MESSAGES.keys()
+    assert types.ACTUATORS.keys() == ACTUATOR_MESSAGES.keys()
     assert {name for name, _, _ in OPTIONAL} == {*types.AIRSPEEDS, *types.ARMINGS}
+    for name, (message, expected) in RATES_MESSAGES.items():
+        assert types.RATES[name].read(message) == expected, name
     for name, message, (stamp_ns, value) in OPTIONAL:
         assert {**types.AIRSPEEDS, **types.ARMINGS}[name](message) == (
             stamp_ns,
@@ -107,26 +114,68 @@ def test_every_declared_type_is_read() -> None:
         assert reader(type=name, channels=[3, 0])(message) == (stamp_ns, (0.75, 1.5)), name
 
 
+TYPE_SETTINGS = {
+    "imu.type": types.RATES,
+    "actuators.type": types.ACTUATORS,
+    "airspeed.type": types.AIRSPEEDS,
+    "armed.type": types.ARMINGS,
+}
+
+
+@pytest.mark.parametrize("setting", TYPE_SETTINGS)
+def test_the_types_that_are_read_are_the_choices_of_a_setting(setting: str) -> None:
+    known: dict[str, Any] = TYPE_SETTINGS[setting]
+    optional = setting in ("airspeed.type", "armed.type")
+    for name in (*known, *[""] * optional):
+        assert Settings.from_values({setting: name}).values()[setting] == name
+    names = ", ".join(['""'] * optional + [*known])
+    first, *_, last = known
+    with pytest.raises(SettingsError) as error:
+        Settings.from_values({setting: last[:-1]})
+    assert str(error.value) == (
+        f"'{setting}' is '{last[:-1]}': allowed are {names}; did you mean '{last}'?"
+    )
+    if not optional:
+        with pytest.raises(SettingsError, match=f"'{setting}' is '': allowed are {first}"):
+            Settings.from_values({setting: ""})
+
+
+OWN = "my_msgs/msg/Gyro"
+
+
+def test_a_type_of_the_author_is_a_choice_of_settings_and_streams(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def read(message: Any) -> RatesReading:
+        return RatesReading(STAMP_NS, message, None, "")
+
+    stream = next(stream for stream in STREAMS if stream.setting == "imu.type")
+    monkeypatch.setitem(types.RATES, OWN, types.RatesAdapter(read, frd=True))
+    settings = Settings.from_values({"imu.type": OWN, "imu.convention": "frd"})
+    assert stream.type_of(settings) == OWN and OWN in stream.types
+    assert stream.reader(settings)((1.0, 2.0, 3.0)) == (STAMP_NS, ((1.0, 2.0, 3.0), None))
+    with pytest.raises(types.ChannelError, match=r"set imu\.convention to 'frd'"):
+        stream.reader(Settings.from_values({"imu.type": OWN}))((1.0, 2.0, 3.0))
+    with pytest.raises(SettingsError, match=f"did you mean '{OWN}'"):
+        Settings.from_values({"imu.type": f"{OWN}s"})
+    monkeypatch.undo()
+    with pytest.raises(SettingsError, match=OWN):
+        Settings.from_values({"imu.type": OWN})
+
+
 def test_px4_rates_have_the_sample_time_and_the_valid_force() -> None:
     message = M(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])  # without a sample time
-    read = types.RATES["px4_msgs/msg/VehicleAngularVelocity"]
-    assert read(message) == types.RatesReading(12_000, (1.0, 2.0, 3.0), None, "")
-    message = M(
-        timestamp=PX4_US,
-        gyro_rad=np.array([1.0, 2.0, 3.0]),
-        accelerometer_timestamp_relative=0,
-        accelerometer_m_s2=np.array([4.0, 5.0, 6.0]),
-    )
-    read = types.RATES["px4_msgs/msg/SensorCombined"]
-    assert read(message) == (PX4_US * 1000, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), "")
-    message.accelerometer_timestamp_relative = types.PX4_RELATIVE_TIMESTAMP_INVALID
-    assert read(message).specific_force is None
+    read = types.RATES["px4_msgs/msg/VehicleAngularVelocity"].read
+    assert read(message) == SAMPLED._replace(stamp_ns=12_000)
+    message, expected = RATES_MESSAGES["px4_msgs/msg/SensorCombined"]
+    invalid = M(**vars(message))
+    invalid.accelerometer_timestamp_relative = types.PX4_RELATIVE_TIMESTAMP_INVALID
+    read = types.RATES["px4_msgs/msg/SensorCombined"].read
+    assert read(invalid) == expected._replace(specific_force=None)
 
 
 def test_imu_is_read_without_absent_rates_or_force() -> None:
-    read = types.RATES["sensor_msgs/msg/Imu"]
-    expected = (STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), "base_link")
-    assert read(imu()) == expected
+    read = types.RATES["sensor_msgs/msg/Imu"].read
     assert read(imu(rates=False)).rates is None
     assert read(imu(force=False)).specific_force is None
 
@@ -198,7 +247,7 @@ def test_cdr_reader_agrees_with_the_decoder() -> None:
     for length, little_endian in itertools.product(range(18), (True, False)):
         message = imu("x" * length)
         data = serialized(message, little_endian=little_endian)
-        expected = types.RATES["sensor_msgs/msg/Imu"](message)
+        expected = types.RATES["sensor_msgs/msg/Imu"].read(message)
         assert decode_imu_cdr(data) == decode_imu_cdr(memoryview(data)) == expected
         for cut in (0, 1, 4, 12, 16, 40, len(data) - 1):
             assert decode_imu_cdr(data[:cut]) is None
@@ -220,6 +269,7 @@ def test_a_type_is_imported_or_refused_by_name() -> None:
     for name, words in (
         ("nothing_here/msg/Imu", "'nothing_here/msg/Imu' is not installed"),
         ("uav_ident_ros/messages/Nothing", "has no type"),
+        ("sensor_msgs/Imu", "'sensor_msgs/Imu' is no message type: write package/msg/Type"),
     ):
         with pytest.raises(types.MessageTypeError, match=words):
             types.import_type(name)

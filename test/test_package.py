@@ -276,6 +276,15 @@ def test_core_imports_numpy_alone():
     assert reached == {ROOT / PACKAGE / "__init__.py"}
 
 
+@pytest.mark.parametrize(
+    "module",
+    ["node.identifier_node", "offline.inputs", "import_logs.writing", "simulation.preparation"],
+)
+def test_whoever_checks_parameters_has_the_message_types(module: str):
+    """The core alone, which reads no messages, takes any type."""
+    assert ROOT / PACKAGE / "messages" / "types.py" in loaded_with(f"{PACKAGE}.{module}")
+
+
 def test_messages_and_the_client_import_no_ros():
     files = loaded_with(f"{PACKAGE}.messages.feed", f"{PACKAGE}.client")
     assert ROOT / PACKAGE / "messages" / "published.py" in files

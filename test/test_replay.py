@@ -427,6 +427,8 @@ BAD_INPUT = [
     ("", "update_rate: 20", "'update_rate' is 20: .*20.0"),
     ("", "initial_coefficients_file: none.yaml", "file 'none.yaml': there is no such file"),
     ("", "actuators.field: x", "'actuators.field' is 'x'"),
+    ("", "imu.type: sensor_msgs/Imu",
+     "allowed are sensor_msgs/msg/Imu, .*; did you mean 'sensor_msgs/msg/Imu'"),
     ("--node /b --params-file other.yaml", "", "nothing for node '/b'"),
     ("--output text.txt", "", "cannot write into 'text.txt': Not a directory"),
     ("--output text.txt/results", "", "cannot write into 'text.txt/results': Not a directory"),

@@ -76,6 +76,8 @@ def test_every_parameter_is_declared_with_its_value_and_described(context: Conte
         assert described.description.startswith(setting.description)
         assert setting.unit in described.description
         assert described.read_only == setting.read_only
+        if setting.choices:
+            assert f"one of: {setting.allowed()}" in described.additional_constraints
         # indices or names
         assert described.dynamic_typing == (setting.name == "actuators.channels"), setting.name
         if setting.type == "float" and math.isfinite(setting.high):

@@ -40,6 +40,7 @@ class Setting:
     low: float = -math.inf
     high: float = math.inf
     choices: Collection[str] = ()  # Allowed words; empty if any is
+    optional: bool = False  # Whether it may be empty as well
     read_only: bool = True  # Whether it cannot change while the identifier runs
     # Whether a change restarts the filters and increases sigma as at a warm start, because the
     # signals were conditioned differently before
@@ -71,16 +72,21 @@ class Setting:
                 number = float(typing.cast(float, entry))
                 if not self.low <= number <= self.high:  # NaN fails too
                     raise SettingsError(f"'{self.name}' is {given!r}: allowed is {self.allowed()}")
-            elif self.choices and entry not in self.choices:
-                allowed = f"allowed are {', '.join(self.choices)}"
-                hint = f"; {meant}" if (meant := nearest(entry, self.choices)) else ""
-                raise SettingsError(f"'{self.name}' is '{entry}': {allowed}{hint}")
+            elif self.choices and entry not in self.words:
+                hint = f"; {meant}" if (meant := nearest(entry, self.words)) else ""
+                allowed = f"allowed are {self.allowed()}{hint}"
+                raise SettingsError(f"'{self.name}' is '{entry}': {allowed}")
         return typing.cast(Value, value)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The choices, and an empty one first if it is optional."""
+        return ("", *self.choices) if self.optional else tuple(self.choices)
 
     def allowed(self) -> str:
         """Return a text of the allowed values, with the unit."""
         if self.choices:
-            return ", ".join(self.choices)
+            return ", ".join(word or '""' for word in self.words)
         if "str" in self.type or self.type == "bool":
             return "any"
         unit = f" {self.unit}" if self.unit else ""
@@ -138,12 +144,13 @@ def _setting(
     *,
     text: str,
     choices: Collection[str] = (),
+    optional: bool = False,
     read_only: bool = True,
     restarts: bool = False,
 ) -> Any:
     """Declare one setting as a dataclass field; the field supplies name and type."""
     fixed = read_only and not restarts
-    own = Setting("", "", default, unit, text, *within, choices, fixed, restarts)
+    own = Setting("", "", default, unit, text, *within, choices, optional, fixed, restarts)
     return dataclasses.field(default=default, metadata={"setting": own})
 
 
@@ -157,37 +164,12 @@ PLAUSIBLE = (-LARGEST_NUMBER, LARGEST_NUMBER)
 MAX_DELAY = 0.5
 """Longest transport delay that the sample buffers cover, s."""
 
-RATE_TYPES = (
-    "sensor_msgs/msg/Imu",
-    "px4_msgs/msg/VehicleAngularVelocity",
-    "px4_msgs/msg/SensorCombined",
-)
-ACTUATOR_TYPES = (
-    "std_msgs/msg/Float64MultiArray",
-    "std_msgs/msg/Float32MultiArray",
-    "sensor_msgs/msg/JointState",
-    "actuator_msgs/msg/Actuators",
-    "mavros_msgs/msg/RCOut",
-    "mavros_msgs/msg/ActuatorControl",
-    "px4_msgs/msg/ActuatorMotors",
-    "px4_msgs/msg/ActuatorServos",
-    "px4_msgs/msg/ActuatorOutputs",
-)
-
-AIRSPEED_TYPES = (
-    "std_msgs/msg/Float64",
-    "std_msgs/msg/Float32",
-    "geometry_msgs/msg/TwistStamped",
-    "mavros_msgs/msg/VfrHud",
-    "px4_msgs/msg/AirspeedValidated",
-)
-
-ARMED_TYPES = (
-    "std_msgs/msg/Bool",
-    "mavros_msgs/msg/State",
-    "px4_msgs/msg/VehicleStatus",
-    "px4_msgs/msg/ActuatorArmed",
-)
+RATE_TYPES: dict[str, Any] = {}
+ACTUATOR_TYPES: dict[str, Any] = {}
+AIRSPEED_TYPES: dict[str, Any] = {}
+ARMED_TYPES: dict[str, Any] = {}
+"""Message types of the inputs, by name: `messages/types.py` has them, and enters their readers.
+Without it, in a program that reads no messages, any name is allowed."""
 
 ESTIMATORS = ("gradient", "least_squares", "instrumental_variable")
 
@@ -351,7 +333,7 @@ class GradientSettings:
 class AirspeedSettings:
     """Airspeed, for coefficients that hold across flight speeds."""
 
-    type: str = _setting("", choices=("", *AIRSPEED_TYPES), text=
+    type: str = _setting("", choices=AIRSPEED_TYPES, optional=True, text=
         "Message type of the airspeed topic; empty for none. With one, damping is scaled with the "
         "airspeed and control derivatives with its square. Set it if the flight speed varies by a "
         "fifth or more.")
@@ -365,7 +347,7 @@ class AirspeedSettings:
 class ArmedSettings:
     """Armed state of the motors: the identifier learns in flight only."""
 
-    type: str = _setting("", choices=("", *ARMED_TYPES), text=
+    type: str = _setting("", choices=ARMED_TYPES, optional=True, text=
         "Message type of the armed topic; empty for none. With one, coefficients move only while "
         "the vehicle is armed. Set it if the autopilot publishes it.")
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Input streams of the node and of a replay: topic, types, reader and destination of each."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ class Stream:
     name: str  # Name in the identifier
     topic: str  # The node's topic, relative as in ``-r imu/data:=...``
     setting: str  # Setting of the message type; empty if there is only one type
-    types: tuple[str, ...]  # Supported types
+    types: Collection[str]  # Supported types
     # Makes a reader by the settings: message to stamp (ns) and values, or a `ChannelError`
     reader: Callable[[Settings], Callable[[Any], Reading]]
     # Adds the values of a stamp (ns) to an identifier; returns the reason of a drop, or None
@@ -32,7 +32,7 @@ class Stream:
 
     def type_of(self, settings: Settings) -> str:
         """Return the message type; empty for an optional stream whose type is not set."""
-        return str(settings.values()[self.setting]) if self.setting else self.types[0]
+        return str(settings.values()[self.setting]) if self.setting else next(iter(self.types))
 
 
 STREAMS = (
@@ -40,7 +40,7 @@ STREAMS = (
         RATES,
         "imu/data",
         "imu.type",
-        tuple(types.RATES),
+        types.RATES,
         lambda settings: RatesReader(settings.imu),
         lambda identifier, t_ns, values: identifier.add_rates(t_ns, *values),
     ),
@@ -48,7 +48,7 @@ STREAMS = (
         ACTUATORS,
         "actuators",
         "actuators.type",
-        tuple(types.ACTUATORS),
+        types.ACTUATORS,
         lambda settings: ActuatorReader(settings.actuators),
         OnlineIdentifier.add_actuators,
     ),
@@ -56,7 +56,7 @@ STREAMS = (
         AIRSPEED,
         "airspeed",
         "airspeed.type",
-        tuple(types.AIRSPEEDS),
+        types.AIRSPEEDS,
         lambda settings: types.AIRSPEEDS[settings.airspeed.type],
         OnlineIdentifier.add_airspeed,
         optional=True,
@@ -66,7 +66,7 @@ STREAMS = (
         ARMED,
         "armed",
         "armed.type",
-        tuple(types.ARMINGS),
+        types.ARMINGS,
         lambda settings: types.ARMINGS[settings.armed.type],
         OnlineIdentifier.add_armed,
         optional=True,

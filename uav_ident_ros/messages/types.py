@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Supported message types, and their conversion to plain values.
 
+A type is an entry of `RATES`, `ACTUATORS`, `AIRSPEEDS` or `ARMINGS`, which makes it a choice of the
+setting ``imu.type``, ``actuators.type``, ``airspeed.type`` or ``armed.type``.
+
 The adapters use attribute access only: rclpy messages, rosbags messages and stand-ins all work.
 Only `import_type` imports ROS.
 """
@@ -11,7 +14,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from uav_ident_ros.identification.settings import ActuatorSettings, ImuSettings, nearest
+from uav_ident_ros.identification.settings import (
+    ACTUATOR_TYPES,
+    AIRSPEED_TYPES,
+    ARMED_TYPES,
+    RATE_TYPES,
+    ActuatorSettings,
+    ImuSettings,
+    nearest,
+)
 from uav_ident_ros.identification.structure import INPUTS
 
 NS_PER_S = 1_000_000_000
@@ -48,6 +59,15 @@ class RatesReading(NamedTuple):
     # (3,) Specific force, m/s^2, in the sensor's axes; None if the message declares none
     specific_force: Vector | None
     frame_id: str  # Frame of the header; empty if the type has none
+
+
+@dataclass(frozen=True)
+class RatesAdapter:
+    """Reader of one type of rates message."""
+
+    read: Callable[[Any], RatesReading]
+    # Whether its axes are forward-right-down by definition; otherwise `imu.convention` gives them
+    frd: bool = False
 
 
 Stamp = Callable[[Any], int]
@@ -119,17 +139,16 @@ def _read_px4_sensor_combined(message: Any) -> RatesReading:
 
 _NORMALISED = "normalised, -1 to 1"
 
-RATES: dict[str, Callable[[Any], RatesReading]] = {
-    "sensor_msgs/msg/Imu": _read_imu,
-    "px4_msgs/msg/VehicleAngularVelocity": _read_px4_angular_velocity,
-    "px4_msgs/msg/SensorCombined": _read_px4_sensor_combined,
+RATES: dict[str, RatesAdapter] = RATE_TYPES
+RATES |= {
+    "sensor_msgs/msg/Imu": RatesAdapter(_read_imu),
+    "px4_msgs/msg/VehicleAngularVelocity": RatesAdapter(_read_px4_angular_velocity, frd=True),
+    "px4_msgs/msg/SensorCombined": RatesAdapter(_read_px4_sensor_combined, frd=True),
 }
 """The supported types of the rates topic."""
 
-FRD_TYPES = ("px4_msgs/msg/VehicleAngularVelocity", "px4_msgs/msg/SensorCombined")
-"""Types with axes forward-right-down by definition; others follow `imu.convention`."""
-
-ACTUATORS: dict[str, ActuatorAdapter] = {
+ACTUATORS: dict[str, ActuatorAdapter] = ACTUATOR_TYPES
+ACTUATORS |= {
     "std_msgs/msg/Float64MultiArray": ActuatorAdapter(None, ("data",)),
     "std_msgs/msg/Float32MultiArray": ActuatorAdapter(None, ("data",)),
     "sensor_msgs/msg/JointState": ActuatorAdapter(
@@ -164,7 +183,8 @@ def _speed(message: Any) -> float:
     return math.hypot(v.x, v.y, v.z)
 
 
-AIRSPEEDS: dict[str, Callable[[Any], Reading]] = {
+AIRSPEEDS: dict[str, Callable[[Any], Reading]] = AIRSPEED_TYPES
+AIRSPEEDS |= {
     "std_msgs/msg/Float64": _plain(None, lambda m: float(m.data)),
     "std_msgs/msg/Float32": _plain(None, lambda m: float(m.data)),
     "geometry_msgs/msg/TwistStamped": _plain(header_ns, _speed),
@@ -173,7 +193,8 @@ AIRSPEEDS: dict[str, Callable[[Any], Reading]] = {
 }
 """The supported types of the airspeed topic: true airspeed, m/s; NaN while none is valid."""
 
-ARMINGS: dict[str, Callable[[Any], Reading]] = {
+ARMINGS: dict[str, Callable[[Any], Reading]] = ARMED_TYPES
+ARMINGS |= {
     "std_msgs/msg/Bool": _plain(None, lambda m: bool(m.data)),
     "mavros_msgs/msg/State": _plain(header_ns, lambda m: bool(m.armed)),
     "px4_msgs/msg/VehicleStatus": _plain(
@@ -288,7 +309,7 @@ class RatesReader:
 
     def __init__(self, settings: ImuSettings) -> None:
         self._settings = settings
-        self._read = RATES[settings.type]
+        self._read = RATES[settings.type].read
         self.frame_id: str | None = None  # Frame of the newest message; None before the first
         # Contradiction between axes and settings; empty if none
         self.fault = frame_fault(settings.convention, "", settings.type)
@@ -323,7 +344,7 @@ def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:
             f"the Imu's frame_id '{frame_id}' contradicts imu.convention 'flu': set it to 'frd', "
             "or correct the frame_id"
         )
-    if msgtype in FRD_TYPES:
+    if RATES[msgtype].frd:
         return f"{msgtype} is in forward-right-down axes: set imu.convention to 'frd'"
     return ""
 
@@ -337,11 +358,13 @@ def import_type(name: str) -> Any:
     Raises
     ------
     MessageTypeError
-        If the package is not installed or has no such type.
+        If the name has another form, or the package is not installed or has no such type.
     """
-    package, kind, type_name = name.split("/")
     try:
+        package, kind, type_name = name.split("/")
         return getattr(importlib.import_module(f"{package}.{kind}"), type_name)
+    except ValueError:
+        raise MessageTypeError(f"'{name}' is no message type: write package/msg/Type") from None
     except ImportError:
         raise MessageTypeError(
             f"message type '{name}' is not installed: install the ROS package '{package}' and "

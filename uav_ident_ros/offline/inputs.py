@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node's inputs in a bag: topics that are requested, or found by name and type."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from uav_ident_ros.bags.reading import Bag, BagError
@@ -80,7 +80,7 @@ def _choose(bag: Bag, stream: Stream, requested: str | None, wanted: str) -> str
     return topic
 
 
-def _find_topic(bag: Bag, stream: Stream, types: tuple[str, ...]) -> str:
+def _find_topic(bag: Bag, stream: Stream, types: Collection[str]) -> str:
     """Return the topic of the stream's own name, or the only one of the given types."""
     default = f"/{stream.topic}"
     if default in bag.types:
@@ -100,7 +100,7 @@ def _find_topic(bag: Bag, stream: Stream, types: tuple[str, ...]) -> str:
     return found[0]
 
 
-def candidates(bag: Bag, types: tuple[str, ...]) -> list[str]:
+def candidates(bag: Bag, types: Collection[str]) -> list[str]:
     """Return the topics of some types; those without messages only if there are no others."""
     found = [
         topic
