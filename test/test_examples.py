@@ -30,6 +30,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.messages.types import RATES
 
 FOLDER = Path(__file__).parents[1] / "examples"
 REFERENCE = np.array([0.2, 0.05, 0.03])
@@ -53,11 +54,14 @@ def ros(tmp_path: Path) -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def structures() -> Iterator[None]:
-    before = dict(STRUCTURES)
+def tables() -> Iterator[None]:
+    """Take back what the examples enter."""
+    tables: tuple[dict[str, Any], ...] = (STRUCTURES, RATES)
+    before = [dict(table) for table in tables]
     yield
-    STRUCTURES.clear()
-    STRUCTURES.update(before)
+    for table, entries in zip(tables, before, strict=True):
+        table.clear()
+        table.update(entries)
 
 
 class Flying:
@@ -147,7 +151,7 @@ def test_the_prediction_from_a_message_equals_that_of_the_client() -> None:
     np.testing.assert_allclose(found, model.predict(x, np.array(u), 1.0), rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["own_estimator", "own_gate", "own_regressor"])
+@pytest.mark.parametrize("name", ["own_estimator", "own_gate", "own_message", "own_regressor"])
 def test_an_example_without_its_bag_prints_its_usage(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:

@@ -110,8 +110,13 @@ def replayed(flight: Recording, folder: Path) -> TickValues:
     bag = written(folder / "flight", flight.types, flight.messages)
     status = replay(bag, folder / "out", by=flight.parameter_file)
     assert status in (USABLE, NOT_USABLE)
+    return estimates(folder / "out")
+
+
+def estimates(folder: Path) -> TickValues:
+    """Return the contents of the bag of estimates in a folder of results."""
     names = ("coefficients_named", "predicted_rates", "prediction_error")
-    found = decoded(folder / "out" / "estimates")
+    found = decoded(folder / "estimates")
     return joined(*([m for _, m in found[f"{NODE}/{name}"]] for name in names))
 
 

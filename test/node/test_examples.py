@@ -6,15 +6,32 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from excerpts import parameter_file, written
+from geometry_msgs.msg import TwistStamped
 from programs import PATIENCE, python
-from recordings import Fly, part, recording
+from rclpy.serialization import deserialize_message, serialize_message
+from recordings import (
+    RATES_TOPIC,
+    Fly,
+    Recording,
+    estimates,
+    part,
+    published,
+    recording,
+    replayed,
+)
 from repository import ROOT
+from sensor_msgs.msg import Imu
 
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.offline import NOT_USABLE, USABLE
+from uav_ident_ros.player import Player
 
 EXAMPLES = ROOT / "examples"
 
@@ -87,3 +104,56 @@ def test_live_plot_and_read_coefficients_follow_a_running_node(fly: Fly, tmp_pat
     lines = run("read_coefficients.py", "--once").splitlines()
     assert re.fullmatch(r"\d+ s: (not )?usable", lines[0])
     assert any(re.fullmatch(r"pdot/da +[+-]?\d+\.\d+ ± \d+\.\d+", line) for line in lines)
+
+
+TWIST = "geometry_msgs/msg/TwistStamped"
+
+
+def with_rates(flight: Recording, kind: str, make: Callable[[Imu], object]) -> Recording:
+    """Return a recording with other messages on the topic of the rates."""
+    messages = [
+        m._replace(data=serialize_message(make(deserialize_message(m.data, Imu))))
+        if m.topic == RATES_TOPIC
+        else m
+        for m in flight.messages
+    ]
+    return replace(flight, messages=messages, types={**flight.types, RATES_TOPIC: kind})
+
+
+def twist(imu: Imu) -> TwistStamped:
+    message = TwistStamped(header=imu.header)
+    message.twist.angular = imu.angular_velocity
+    return message
+
+
+def without_force(imu: Imu) -> Imu:
+    imu.linear_acceleration_covariance[0] = -1.0
+    return imu
+
+
+def test_a_message_type_of_the_author_gives_the_estimates_of_an_imu(tmp_path: Path) -> None:
+    """In the node over DDS, and in a replay, to the bit."""
+    flight = recording("c172p", 6.0)
+    twists = with_rates(flight, TWIST, twist)
+    own = parameter_file(tmp_path / "own.yaml", imu__type=TWIST)
+    files = ("--params-file", str(flight.parameter_file), "--params-file", str(own))
+    arguments = ("identifier", "--ros-args", *files, "-p", "use_sim_time:=true")
+    environment = {**os.environ, "ROS_HOME": str(tmp_path)}
+    node = subprocess.Popen(command("own_message.py", *arguments), env=environment)
+    try:
+        with closing(Player(twists.classes)) as player:
+            player.wait_for_node()
+            player.play_in_step(twists.messages)
+            found = published(player.outputs)
+        node.send_signal(signal.SIGINT)
+        assert node.wait(PATIENCE) == 0
+    finally:
+        node.kill()
+    expected = replayed(with_rates(flight, flight.types[RATES_TOPIC], without_force), tmp_path)
+    assert len(expected) > 100 and found == expected
+    bag = written(tmp_path / "twists", twists.types, twists.messages)
+    output = tmp_path / "output"
+    arguments = ("replay", str(bag), *files, "--output", str(output))
+    done = python(*command("own_message.py", *arguments)[1:])
+    assert done.returncode in (USABLE, NOT_USABLE), done.stderr
+    assert estimates(output) == expected
