@@ -22,7 +22,7 @@ from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.ros import latched
-from uav_ident_ros.simulation import closed_loop
+from uav_ident_ros.simulation import airframe, closed_loop
 from uav_ident_ros.simulation.closed_loop import ClosedLoop, Loop, main, tracking_error
 from uav_ident_ros.simulation.flight import SimulationError
 
@@ -82,6 +82,34 @@ def test_ctrl_c_ends_a_flight_without_a_traceback(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(closed_loop, "ClosedLoop", interrupt)
     assert closed_loop.main([]) == INTERRUPTED
+
+
+def test_an_aircraft_is_identified_once_and_again_after_an_edit_of_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepared: list[str] = []
+
+    def write(aircraft: str, folder: Path) -> None:
+        prepared.append(aircraft)
+        folder.mkdir(parents=True)
+        (folder / "mine.yaml").touch()
+
+    monkeypatch.setattr(closed_loop, "prepare", lambda aircraft, speed: aircraft)
+    monkeypatch.setattr(closed_loop, "write", write)
+    monkeypatch.setattr(closed_loop, "PREPARED", tmp_path / "prepared")
+    monkeypatch.chdir(tmp_path)
+    text = (airframe.FOLDER / "c172p.yaml").read_text()
+    Path("mine.yaml").write_text(text)
+    first = closed_loop.prepared_file("mine.yaml", None)
+    assert closed_loop.prepared_file("mine.yaml", None) == first
+    assert closed_loop.prepared_file(str(tmp_path / "mine.yaml"), None) == first
+    assert prepared == [str(tmp_path / "mine.yaml")]  # flown from any folder
+    Path("mine.yaml").write_text(text.replace("model: c172p", "model: pa28"))
+    assert closed_loop.prepared_file("mine.yaml", None) != first
+    Path("other").mkdir()
+    Path("other/mine.yaml").write_text(text)
+    assert closed_loop.prepared_file("other/mine.yaml", None) != first
+    assert len(prepared) == 3
 
 
 class Plant:

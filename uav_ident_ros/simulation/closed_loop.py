@@ -9,6 +9,7 @@ takes some ten seconds.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import math
 import os
 import signal
@@ -28,14 +29,15 @@ from uav_ident_ros.control import LAWS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.waiting import Progress
 from uav_ident_ros.process import NodeProcess, own_domain
-from uav_ident_ros.simulation.airframe import airframe, airframe_names
+from uav_ident_ros.simulation.airframe import SUFFIX, airframe, airframe_names
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import SimulationError, check_positive
 from uav_ident_ros.simulation.preparation import CONFIG, prepare, write
 
 ROOT = CONFIG.parents[1]
 PREPARED = ROOT / "build" / "aircraft"
-"""Folder of the aircraft identified for the loop, with a folder for each speed."""
+"""Folder of the aircraft identified for the loop, with a folder for each speed and content of a
+file."""
 
 MODULES = {
     "identifier": "uav_ident_ros.node",
@@ -197,7 +199,10 @@ def prepared_file(
     if aircraft in shipped() and speed is None:
         return CONFIG / f"{aircraft}.yaml"
     frame = airframe(aircraft, speed)
-    file = PREPARED / f"{frame.name}_{frame.speed:.1f}" / f"{frame.name}.yaml"
+    if aircraft.endswith(SUFFIX):  # the loop may be flown from another folder
+        aircraft = str(Path(aircraft).resolve())
+    identity = hashlib.sha256(repr((aircraft, frame)).encode()).hexdigest()[:8]
+    file = PREPARED / f"{frame.name}_{frame.speed:.1f}_{identity}" / f"{frame.name}.yaml"
     if not file.exists():
         print(f"identifying {frame.name} at {frame.speed:.1f} m/s: {frame.description}", flush=True)
         write(prepare(aircraft, speed), file.parent)
