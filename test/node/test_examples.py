@@ -9,12 +9,14 @@ import sys
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from excerpts import parameter_file, written
 from geometry_msgs.msg import TwistStamped
-from programs import PATIENCE, python
+from programs import PATIENCE, Capture, python
 from rclpy.serialization import deserialize_message, serialize_message
 from recordings import (
     RATES_TOPIC,
@@ -32,6 +34,9 @@ from sensor_msgs.msg import Imu
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.offline import NOT_USABLE, USABLE
 from uav_ident_ros.player import Player
+from uav_ident_ros.process import own_domain
+from uav_ident_ros.simulation import closed_loop
+from uav_ident_ros.simulation.preparation import prepare
 
 EXAMPLES = ROOT / "examples"
 
@@ -47,8 +52,9 @@ def run(name: str, *arguments: str) -> str:
 
 
 def test_every_example_is_listed() -> None:
-    listed = re.findall(r"^\| `(\w+\.py)` \|", (EXAMPLES / "README.md").read_text(), re.MULTILINE)
-    assert sorted(listed) == sorted(path.name for path in EXAMPLES.glob("*.py"))
+    listed = re.findall(r"^\| `([\w.]+)` \|", (EXAMPLES / "README.md").read_text(), re.MULTILINE)
+    shipped = [path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".yaml")]
+    assert sorted(listed) == sorted(shipped)
 
 
 @pytest.mark.parametrize(
@@ -157,3 +163,20 @@ def test_a_message_type_of_the_author_gives_the_estimates_of_an_imu(tmp_path: Pa
     done = python(*command("own_message.py", *arguments)[1:])
     assert done.returncode in (USABLE, NOT_USABLE), done.stderr
     assert estimates(output) == expected
+
+
+def test_an_aircraft_of_the_author_flies_in_the_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+    monkeypatch.setattr(closed_loop, "PREPARED", tmp_path / "prepared")
+    monkeypatch.setattr(closed_loop, "prepare", partial(prepare, time=30.0))
+    monkeypatch.chdir(ROOT)
+    arguments = ["--aircraft", "examples/own_aircraft.yaml", "--duration", "6"]
+    with own_domain():
+        assert closed_loop.main([*arguments, "--output", str(tmp_path)]) == 0
+    assert "identifying own_aircraft at 90.0 m/s: turboprop trainer" in capsys.readouterr().out
+    with np.load(tmp_path / "flight.npz") as archive:
+        record = dict(archive)
+    assert record["usable"].any()
+    assert closed_loop.tracking_error(record, 2.0, 6.0).max() < 5.0
