@@ -371,7 +371,7 @@ def test_two_imus_on_one_topic_are_noted(tmp_path: Path) -> None:
     assert "'imu_2'" in note
 
 
-def test_unreadable_messages_are_counted(tmp_path: Path) -> None:
+def test_messages_that_cannot_be_decoded_are_counted(tmp_path: Path) -> None:
     """The first message of each topic is empty; some others are truncated."""
     whole, _ = messages(excerpts.excerpt(tmp_path / "whole", 5.0))
     spoiled = [(topic, whole[0][1], b"") for topic in excerpts.TYPES]
@@ -379,7 +379,7 @@ def test_unreadable_messages_are_counted(tmp_path: Path) -> None:
         spoiled.append((topic, log_ns, data[:30] if count % 100 == 7 else data))
     bag = excerpts.written(tmp_path / "bag", excerpts.TYPES, spoiled)
     _, summary = replayed(bag, tmp_path / "out")
-    dropped = [summary["inputs"][s]["dropped"].get("unreadable", 0) for s in ("rates", "actuators")]
+    dropped = [summary["inputs"][s]["dropped"]["not decodable"] for s in ("rates", "actuators")]
     assert min(dropped) >= 1
     assert sum(dropped) == 13 + 2
     assert summary["ticks"] > 90

@@ -31,8 +31,8 @@ NS_PER_US = 1_000
 Vector = tuple[float, float, float]
 
 
-NOT_FINITE = "not finite"
-"""Reason to refuse a message with NaN or infinite values."""
+NOT_FINITE, NOT_DECODABLE = "not finite", "not decodable"
+"""Reasons to refuse a message: NaN or infinite values, bytes that are no message of its type."""
 
 MOST_LISTED, LONGEST_NAME = 30, 120
 """Most names in an error message, and characters of each: more would flood the log."""

@@ -16,7 +16,12 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import RATES
 from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS, Stream
-from uav_ident_ros.messages.types import ChannelError, RatesReader, import_type
+from uav_ident_ros.messages.types import (
+    NOT_DECODABLE,
+    ChannelError,
+    RatesReader,
+    import_type,
+)
 from uav_ident_ros.node.notices import Guard, Throttle, without_sources
 from uav_ident_ros.node.parameters import QOS_POLICIES
 
@@ -52,7 +57,7 @@ class Input:
             return deserialize_message(data, self.kind)
         except (RuntimeError, UnicodeDecodeError) as error:
             problem = f"it cannot be decoded ({without_sources(str(error))})"
-            raise ChannelError(problem, "not decodable") from None
+            raise ChannelError(problem, NOT_DECODABLE) from None
 
     def _warn(self, reason: str, problem: str) -> None:
         self._warnings.notice((self.topic, reason), f"'{self.topic}': message dropped: {problem}")

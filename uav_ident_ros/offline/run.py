@@ -39,7 +39,7 @@ from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.identification.supervision import State
 from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS
-from uav_ident_ros.messages.types import ChannelError
+from uav_ident_ros.messages.types import NOT_DECODABLE, ChannelError
 from uav_ident_ros.offline.inputs import Inputs, choose_inputs
 from uav_ident_ros.offline.ticks import Ticks
 
@@ -93,9 +93,6 @@ class Bar(tqdm):
         pace = {} if sys.stderr.isatty() else {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
         super().__init__(*what, leave=False, miniters=0, **pace, **options)
 
-
-UNREADABLE = "unreadable"
-"""Reason to drop a message that cannot be decoded."""
 
 _NO_FORCE = (0.0, 0.0, 0.0)
 
@@ -319,7 +316,7 @@ def _decoder(bag: Bag, topic: str) -> Callable[[bytes], object]:
         try:
             return decode(data)
         except BagError as error:
-            raise ChannelError(str(error), UNREADABLE) from None
+            raise ChannelError(str(error), NOT_DECODABLE) from None
 
     return decoded
 
