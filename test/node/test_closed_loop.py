@@ -106,10 +106,14 @@ def test_an_aircraft_is_identified_once_and_again_after_an_edit_of_its_file(
     assert prepared == [str(tmp_path / "mine.yaml")]  # flown from any folder
     Path("mine.yaml").write_text(text.replace("model: c172p", "model: pa28"))
     assert closed_loop.prepared_file("mine.yaml", None) != first
-    Path("other").mkdir()
-    Path("other/mine.yaml").write_text(text)
-    assert closed_loop.prepared_file("other/mine.yaml", None) != first
-    assert len(prepared) == 3
+    Path("other/mine").mkdir(parents=True)
+    Path("other/mine.yaml").write_text(text.replace("model: c172p", "model: mine"))
+    Path("other/mine/mine.xml").touch()
+    second = closed_loop.prepared_file("other/mine.yaml", None)
+    assert second != first
+    Path("other/mine/mine.xml").write_text("<!-- heavier -->")
+    assert closed_loop.prepared_file("other/mine.yaml", None) not in (first, second)
+    assert len(prepared) == 4
 
 
 class Plant:

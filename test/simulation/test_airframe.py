@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Aircraft files: their contents, and the errors of wrong files."""
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from uav_ident_ros.simulation.aircraft import Aircraft
-from uav_ident_ros.simulation.airframe import airframe, airframe_names
+from uav_ident_ros.simulation.airframe import MODELS, airframe, airframe_names
 from uav_ident_ros.simulation.flight import SimulationError
 
 TEXT = """\
@@ -93,6 +94,27 @@ def test_a_jsbsim_aircraft_writes_no_output_files(
     monkeypatch.chdir(tmp_path)
     Aircraft(str(path), 100.0).step()
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_model_may_be_a_folder_beside_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shipped = MODELS / "ultra_stick_25e"
+    folder = Path(shutil.copytree(shipped, tmp_path / "models" / "mine"))
+    heavy = (folder / f"{shipped.name}.xml").rename(folder / "mine.xml")
+    text, mass = heavy.read_text(encoding="utf-8"), '<emptywt unit="KG">1.959'
+    assert text.count(mass) == 1
+    heavy.write_text(text.replace(mass, '<emptywt unit="KG">2.5'), encoding="utf-8")
+    Path("mine.yaml").write_text(TEXT.replace("c172p", "models/mine").replace("50.0", "20.0"))
+    assert Aircraft("mine.yaml", 100.0).fdm["inertia/mass-slugs"] * 14.5939 == pytest.approx(2.5)
+    # a folder without a model of its name is no model
+    Path("c172p").mkdir()
+    Path("plain.yaml").write_text(TEXT)
+    assert airframe("plain.yaml").model == "c172p"
+    Path("wrong.yaml").write_text(TEXT.replace("c172p", "models/c172p"))
+    with pytest.raises(SimulationError, match=r"no aircraft 'models/c172p', .* a folder beside"):
+        Aircraft("wrong.yaml", 100.0)
 
 
 def test_an_aircraft_that_jsbsim_cannot_fly_is_named(tmp_path: Path) -> None:

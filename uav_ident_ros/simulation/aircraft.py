@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.simulation.airframe import MODELS, airframe
+from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.channels import PLAIN
 from uav_ident_ros.simulation.flight import SimulationError
 
@@ -98,8 +98,8 @@ BALLASTS = 5
 gravity."""
 
 
-def _load(name: str, rate: float) -> Any:
-    """Return a JSBSim executive with the aircraft loaded and without console output."""
+def _load(model: str, rate: float) -> Any:
+    """Return a JSBSim executive with a model loaded and without console output."""
     os.environ.setdefault("JSBSIM_DEBUG", "0")  # otherwise JSBSim prints a banner on stdout
     try:
         jsbsim = importlib.import_module("jsbsim")
@@ -110,20 +110,23 @@ def _load(name: str, rate: float) -> Any:
     fdm = jsbsim.FGFDMExec(None)
     fdm.set_debug_level(0)
     fdm.set_dt(1.0 / rate)
-    own = MODELS / name
-    source = own if own.is_dir() else Path(fdm.get_root_dir()) / "aircraft" / name
+    source = Path(fdm.get_root_dir()) / "aircraft" / model  # the model itself if it is a path
+    name = source.name
     with tempfile.TemporaryDirectory() as folder:
         if source.is_dir():
-            model = Path(shutil.copytree(source, Path(folder) / name)) / f"{name}.xml"
-            text = model.read_text(encoding="utf-8", errors="surrogateescape")
+            file = Path(shutil.copytree(source, Path(folder) / name)) / f"{name}.xml"
+            text = file.read_text(encoding="utf-8", errors="surrogateescape")
             text = text.replace("</mass_balance>", BALLASTS * BALLAST + "</mass_balance>", 1)
             text = OUTPUT.sub("", text)
-            model.write_text(text, encoding="utf-8", errors="surrogateescape")
+            file.write_text(text, encoding="utf-8", errors="surrogateescape")
         fdm.set_aircraft_path(folder)
-        with _explained(name):
+        with _explained(model):
             found = fdm.load_model(name)
         if not found:
-            raise SimulationError(f"JSBSim has no aircraft '{name}': it is the 'model' of its file")
+            raise SimulationError(
+                f"JSBSim has no aircraft '{model}', the 'model' of its file: write one that comes "
+                "with JSBSim, or a folder beside the file, NAME, with NAME/NAME.xml in it"
+            )
     return fdm
 
 
@@ -136,10 +139,10 @@ def _explained(name: str) -> Iterator[None]:
         raise SimulationError(f"JSBSim cannot fly aircraft '{name}': {error}") from None
 
 
-def _surface_ranges(name: str, rate: float) -> FloatArray:
+def _surface_ranges(model: str, rate: float) -> FloatArray:
     """Return elevator, rudder and aileron at `COMMAND_POINTS`, shape (3, 81), rad."""
-    fdm = _load(name, rate)
-    with _explained(name):
+    fdm = _load(model, rate)
+    with _explained(model):
         fdm.run_ic()
     out = np.empty((3, len(COMMAND_POINTS)))
     for i, command in enumerate(COMMAND_POINTS):

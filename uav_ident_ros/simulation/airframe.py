@@ -2,7 +2,7 @@
 """Aircraft as data: one YAML file each, in `airframes/`.
 
     description: four-seat propeller aircraft, 853 kg
-    model: c172p               # JSBSim model, from the wheel or airframes/jsbsim
+    model: c172p               # JSBSim model: from the wheel, airframes/jsbsim or beside the file
     speed: 53.34               # true airspeed, m/s
     altitude: 914.4            # above sea level, m
     autopilot: {roll_gain: 0.1, pitch_gain: 0.15}
@@ -59,7 +59,7 @@ class Airframe:
 
     name: str  # Name of its file, without the ending
     description: str  # Kind of aircraft, for people
-    model: str  # Name of the JSBSim model
+    model: str  # Path of the JSBSim model's folder, or its name if it comes with JSBSim
     speed: float  # True airspeed, m/s
     altitude: float  # Above sea level, m
     autopilot: Gains  # Tuned for that speed
@@ -123,7 +123,10 @@ def _read(path: Path) -> Airframe:
         value = getattr(found, key)
         if not (isinstance(value, int | float) and value > 0.0):
             raise SimulationError(f"{where}: {key} is {value}, not positive")
-    return replace(found, speed=float(found.speed), altitude=float(found.altitude))
+    folders = [place / found.model for place in (path.resolve().parent, MODELS)]
+    own = [str(folder) for folder in folders if (folder / f"{folder.name}.xml").is_file()]
+    model, speed, altitude = [*own, found.model][0], float(found.speed), float(found.altitude)
+    return replace(found, model=model, speed=speed, altitude=altitude)
 
 
 def build(

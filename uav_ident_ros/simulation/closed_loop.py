@@ -36,8 +36,8 @@ from uav_ident_ros.simulation.preparation import CONFIG, prepare, write
 
 ROOT = CONFIG.parents[1]
 PREPARED = ROOT / "build" / "aircraft"
-"""Folder of the aircraft identified for the loop, with a folder for each speed and content of a
-file."""
+"""Folder of the aircraft identified for the loop, with a folder for each speed and content of the
+files."""
 
 MODULES = {
     "identifier": "uav_ident_ros.node",
@@ -201,7 +201,8 @@ def prepared_file(
     frame = airframe(aircraft, speed)
     if aircraft.endswith(SUFFIX):  # the loop may be flown from another folder
         aircraft = str(Path(aircraft).resolve())
-    identity = hashlib.sha256(repr((aircraft, frame)).encode()).hexdigest()[:8]
+    model = [path.read_bytes() for path in sorted(Path(frame.model).rglob("*.xml"))]
+    identity = hashlib.sha256(repr((aircraft, frame, model)).encode()).hexdigest()[:8]
     file = PREPARED / f"{frame.name}_{frame.speed:.1f}_{identity}" / f"{frame.name}.yaml"
     if not file.exists():
         print(f"identifying {frame.name} at {frame.speed:.1f} m/s: {frame.description}", flush=True)
