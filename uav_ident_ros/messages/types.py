@@ -54,9 +54,9 @@ class RatesReading(NamedTuple):
     """One message of the rates topic."""
 
     stamp_ns: int  # Message time, ns
-    # (3,) Angular velocity, rad/s, in the sensor's axes; None if the message declares none
+    # (3,) Angular velocity, rad/s, in the sensor's axes; None if an Imu declares none
     rates: Vector | None
-    # (3,) Specific force, m/s^2, in the sensor's axes; None if the message declares none
+    # (3,) Specific force, m/s^2, in the sensor's axes; None if the type or message has none
     specific_force: Vector | None
     frame_id: str  # Frame of the header; empty if the type has none
 
