@@ -224,3 +224,12 @@ def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:
 
     assert height(0.0) == pytest.approx(0.5, rel=0.2)
     assert height(0.5) == 0.0
+
+
+def test_an_early_yaw_of_a_multirotor_counts_for_itself_alone() -> None:
+    """The inertia of the rotors makes it early, not a wrong setting."""
+    early_yaw, early_roll = ModelError(LAYOUT), ModelError(LAYOUT)
+    early_yaw._early, early_roll._early = np.array([0.0, 0.0, 0.5]), np.array([0.5, 0.0, 0.0])
+    np.testing.assert_array_equal(early_yaw.relative_error(KNOWN_ROWS), [0.5, 0.5, 0.5])
+    np.testing.assert_array_equal(early_yaw.relative_error(KNOWN_ROWS, rotors=True), [0, 0, 0.5])
+    np.testing.assert_array_equal(early_roll.relative_error(KNOWN_ROWS, rotors=True), [0.5] * 3)

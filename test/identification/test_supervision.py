@@ -165,6 +165,14 @@ def test_a_reason_names_at_most_100_percent_of_missing_effect() -> None:
     assert supervision._incomplete(2, 3.47, 4.0).startswith("rdot follows dr badly: 100 % of")
 
 
+@pytest.mark.parametrize(("multirotor", "named"), [(True, [2]), (False, [])])
+def test_the_inertia_of_the_rotors_is_named_in_the_yaw_of_a_multirotor(
+    multirotor: bool, named: list[int]
+) -> None:
+    reasons = [supervision._incomplete(row, 0.5, 4.0, multirotor=multirotor) for row in range(3)]
+    assert [i for i, reason in enumerate(reasons) if "the inertia of the rotors" in reason] == named
+
+
 @pytest.mark.parametrize(
     ("share", "t_ratio", "misses"), [(0.24, 4.0, False), (0.26, 4.0, True), (0.26, 3.0, False)]
 )

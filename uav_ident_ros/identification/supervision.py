@@ -296,7 +296,12 @@ class Supervisor:
             return (
                 # late or not
                 _unknown_input(settings, i, main.item(i), beside.item(i), estimator.answers)
-                or _incomplete(i, float(estimator.model_error[i]), settings.min_t_ratio)
+                or _incomplete(
+                    i,
+                    float(estimator.model_error[i]),
+                    settings.min_t_ratio,
+                    multirotor=self.settings.actuators.multirotor,
+                )
                 or unknown[i]
                 or self.confirmed.doubt(i)
             )
@@ -366,7 +371,7 @@ def _unknown_input(
     return reason
 
 
-def _incomplete(row: int, share: float, t_ratio: float) -> str:
+def _incomplete(row: int, share: float, t_ratio: float, *, multirotor: bool = False) -> str:
     """Return the reason against a row if its model error is too large; else empty.
 
     The error is the share of the input's effect that is late, early or missing. The limit is
@@ -377,10 +382,17 @@ def _incomplete(row: int, share: float, t_ratio: float) -> str:
     """
     if share * t_ratio <= 1.0:
         return ""
-    surface = MAIN_INPUTS[ROWS[row]]
+    surface, move = MAIN_INPUTS[ROWS[row]], "the surfaces"
+    causes = "a servo lag, a delay, a limit of travel or of servo speed"
+    if multirotor:
+        causes, move = "a motor lag, a delay, a limit of thrust", surface
+        if ROWS[row] == "rdot":
+            causes += (
+                ", or the inertia of the rotors, which yaws the vehicle before their drag does"
+            )
     return (
         f"{ROWS[row]} follows {surface} badly: {100.0 * min(share, 1.0):.0f} % of the effect is "
-        "late, early, or missing at large or quick deflections (a servo lag, a delay, a limit of "
-        "travel or of servo speed); correct 'actuators.time_constant', 'actuators.delay' or "
-        "'actuators.upper_limit', or move the surfaces more slowly"
+        f"late, early, or missing at large or quick deflections ({causes}); correct "
+        "'actuators.time_constant', 'actuators.delay' or 'actuators.upper_limit', or move "
+        f"{move} more slowly"
     )

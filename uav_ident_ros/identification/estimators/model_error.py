@@ -44,6 +44,8 @@ EXTRA = 3
 """Number of additional regressors. The first and the last are tested one at a time: all three need
 longer than a cold start has."""
 
+_YAW = ROWS.index("rdot")
+
 _SATURATION, _LATENESS, _ATTENUATION = range(EXTRA)
 _BESIDE_LATENESS = (_SATURATION, _ATTENUATION)
 
@@ -102,15 +104,18 @@ class ModelError:
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
 
-    def relative_error(self, known: BoolArray) -> FloatArray:
+    def relative_error(self, known: BoolArray, rotors: bool = False) -> FloatArray:
         """Return the most likely error of each row, (3,): `share`, lateness or earliness.
 
         Lateness counts before it is significant: noise must not hide a servo that is too slow for
         its commands. Delay and lag are one setting for all inputs, and only an error of it makes a
         known input early. The earliness of any of the rows `known`, (3,), therefore counts for all.
+        The yaw of a multirotor counts for itself alone: the inertia of the `rotors` turns the
+        vehicle while their speed changes, before their drag does.
         """
-        likely = np.maximum(self.share, self._late)
-        return np.maximum(likely, self._early.max(initial=0.0, where=known))
+        early = np.where(known, self._early, 0.0)
+        shared = early[:_YAW] if rotors else early
+        return np.maximum(np.maximum(self.share, self._late), np.maximum(early, shared.max()))
 
     def forget(self, row: int) -> None:
         """Clear the sums of a row that is learned anew."""

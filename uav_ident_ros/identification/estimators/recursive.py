@@ -66,6 +66,7 @@ class RecursiveRegression(Estimator):
 
     def __init__(self, start: Start, settings: Settings, *, instrumental: bool) -> None:
         self._structure = STRUCTURES[settings.structure]
+        self._rotors = settings.actuators.multirotor
         self._layout = layout(self._structure)
         self._error = ModelError(self._layout)
         self._feedback = Feedback(self._layout)
@@ -144,7 +145,8 @@ class RecursiveRegression(Estimator):
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
         known_now = known_inputs(self.coefficients, self.sigma, self._error.share)
-        self.model_error, self.sure_error = self._error.relative_error(known_now), self._error.share
+        self.model_error = self._error.relative_error(known_now, self._rotors)
+        self.sure_error = self._error.share
         # Where gusts alone make the aircraft roll, their side force looks like a height.
         self.height = self._error.height if known_now[0] else 0.0
         weight = self._row_weights(weight)
