@@ -412,9 +412,9 @@ def _mounted(matrix: ArrayLike) -> Spoil:
     return partial(_imu, matrix, matrix)
 
 
-def _swapped(measured: Measurements) -> Measurements:
-    """Swap the rudder's channel and the aileron's."""
-    return replace(measured, actuators=measured.actuators[:, [0, 2, 1, 3]])
+def _ordered(order: Sequence[int], measured: Measurements) -> Measurements:
+    """Change the order of the channels."""
+    return replace(measured, actuators=measured.actuators[:, order])
 
 
 def _two_publishers(measured: Measurements) -> Measurements:
@@ -444,7 +444,9 @@ MISTAKES: Sequence[tuple[str, Spoil, dict[str, Any], str]] = (
     ("gyro in deg/s", partial(_imu, 57.3 * np.eye(3), np.eye(3)), {}, "to rad/s"),
     ("accelerometer in g", partial(_imu, np.eye(3), np.eye(3) / GRAVITY), {}, "looks like g"),
     ("gravity taken out of the force", _weightless, {}, "taken out"),
-    ("rudder and aileron swapped", _swapped, {}, "swapped"),
+    ("rudder and aileron swapped", partial(_ordered, [0, 2, 1, 3]), {}, "swapped"),
+    ("elevator and aileron swapped", partial(_ordered, [2, 1, 0, 3]), {}, "swapped"),
+    ("elevator and rudder swapped", partial(_ordered, [1, 0, 2, 3]), {}, "swapped"),
     ("two publishers", _two_publishers, {}, "two publishers"),
     ("trim in degrees", _as_it_is, {"actuators.trim": [2.0, -1.0, 1.5, 0.5]}, "in degrees"),
     ("pulse widths without trim", _pulses, {"actuators.trim": []}, "microseconds"),

@@ -546,6 +546,8 @@ class OnlineIdentifier:
         if not self._learned_time:  # the information was discarded
             self._fresh = None
         self._learned_time += samples.time
+        if self.settings.supervision.plausibility and not self._as_paper:
+            self.plausibility.exchanged.add(samples)
         rows, white = estimator.conditioned(samples)
         weight = supervisor.weigh(rows.residual[: len(ROWS)].T, samples.time, estimator.clear)
         inputs = white.f[MAIN_DERIVATIVES[0], :, self._layout.main]

@@ -13,12 +13,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from uav_ident_ros.identification.delay import DelayEstimate
+from uav_ident_ros.identification.exchange import ExchangedInputs
 from uav_ident_ros.identification.flow import GRAVITY_BAND
 from uav_ident_ros.identification.frames import BodyFrame
 from uav_ident_ros.identification.gates import TickMeans
@@ -135,6 +135,7 @@ class Plausibility:
         self._structure = STRUCTURES[settings.structure]
         self._expected = settings.supervision.expected_signs
         self._multirotor = settings.actuators.multirotor
+        self.exchanged = ExchangedInputs()  # From the samples that are learned from
         # Integrals over time of direction (3), vector (3) and magnitude (1) of the specific force
         self._sums: FloatArray = np.zeros(7)
         self._time = 0.0
@@ -177,8 +178,12 @@ class Plausibility:
 
     def judge(self, coefficients: FloatArray, sigma: FloatArray) -> None:
         """Check the coefficients for channels that are swapped or reversed."""
-        known = (self._structure, coefficients, sigma, self._expected)
-        find = partial(coefficient_finding, *known, multirotor=self._multirotor)
+        known, motors = (self._structure, coefficients, sigma, self._expected), self._multirotor
+
+        def find(sure: float = SURE) -> Finding | None:
+            of_coefficients = coefficient_finding(*known, sure, multirotor=motors)
+            return of_coefficients or exchange_finding(self.exchanged, sure, multirotor=motors)
+
         found, before = find(), self.doubt
         if found is None:
             likely = before and find(sure=0.0)
@@ -452,6 +457,27 @@ def coefficient_finding(
         "swapped",
         f"{both} are swapped: dr rolls the aircraft more than da does; exchange them in "
         "actuators.channels or actuators.mixing",
+    )
+
+
+def exchange_finding(
+    exchanged: ExchangedInputs,
+    sure: float = SURE,  # Significance level, in standard deviations
+    *,
+    multirotor: bool = False,  # Whether the text names motors in place of surfaces
+) -> Finding | None:
+    """Return a finding if inputs act in the place of others: the structures do not show all."""
+    turns = dict(zip(("da", "de", "dr"), ("rolls", "pitches", "yaws"), strict=True))
+    found = [
+        f"{acts} {turns[instead]} the aircraft more than {instead} does"
+        for acts, instead in exchanged.found(sure)
+    ]
+    if not found:
+        return None
+    what = "motors are in another order" if multirotor else "inputs are swapped"
+    return Finding(
+        "swapped",
+        f"{what}: {', '.join(found)}; exchange them in actuators.channels or actuators.mixing",
     )
 
 

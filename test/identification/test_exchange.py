@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs that act on the axis of another one."""
+
+import numpy as np
+import pytest
+
+from uav_ident_ros.identification.exchange import ExchangedInputs
+from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.scales import SURE
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES
+
+DT, TIME = 0.05, 5.0
+SIZE = STRUCTURES["augmented"].size
+EFFECT = np.array([[0.0, 3.0, 45.0, 0.0], [-30.0, 0.0, 0.0, 0.0], [0.0, -9.0, -1.5, 0.0]])
+"""Effects of de, dr, da, dth on roll, pitch, yaw."""
+
+
+def looked(
+    order: list[int],  # Input that each channel takes for its own
+    *,
+    dead: tuple[int, ...] = (),  # Inputs without effect
+    still: tuple[int, ...] = (),  # Inputs that do not move
+    size: int = SIZE,  # Regressors of the structure
+    seed: int = 1,
+) -> list[tuple[str, str]]:
+    """Return what is found in five seconds of excitation with independent disturbances."""
+    rng = np.random.default_rng(seed)
+    u = 0.05 * rng.standard_normal((round(TIME / DT), 4))
+    u[:, list(still)] = 0.0
+    effect = EFFECT.copy()
+    effect[:, list(dead)] = 0.0
+    y = u @ effect.T + 0.05 * rng.standard_normal((len(u), 3))
+    f = np.zeros((len(u), size))
+    f[:, INPUT_COLUMNS] = u[:, order]
+    exchanged = ExchangedInputs()
+    for k in range(0, len(u), 4):
+        exchanged.add(Regression.of(y[k : k + 4], f[k : k + 4], f[k : k + 4], DT))
+    return exchanged.found(SURE)
+
+
+@pytest.mark.parametrize("size", [SIZE, STRUCTURES["baseline"].size])
+@pytest.mark.parametrize(
+    ("order", "found"),
+    [
+        ([0, 1, 2, 3], []),
+        ([2, 1, 0, 3], [("de", "da"), ("da", "de")]),
+        ([1, 0, 2, 3], [("dr", "de"), ("de", "dr")]),
+        ([0, 2, 1, 3], [("dr", "da"), ("da", "dr")]),
+        ([1, 2, 0, 3], [("dr", "da"), ("da", "de"), ("de", "dr")]),
+    ],
+)
+def test_exchanged_inputs_are_found_in_every_order(
+    order: list[int], found: list[tuple[str, str]], size: int
+) -> None:
+    assert looked(order, size=size) == found
+
+
+@pytest.mark.parametrize("dead", [(0,), (1,), (2,), (0, 1, 2)])
+def test_inputs_without_effect_are_not_exchanged(dead: tuple[int, ...]) -> None:
+    assert [looked([0, 1, 2, 3], dead=dead, seed=seed) for seed in range(20)] == [[]] * 20
+
+
+def test_inputs_that_do_not_move_show_nothing() -> None:
+    assert looked([2, 1, 0, 3], still=(1,)) == [("de", "da"), ("da", "de")]
+    assert looked([2, 1, 0, 3], still=(0,)) == []
+    assert looked([0, 1, 2, 3], still=(0, 1, 2, 3)) == []
+    assert ExchangedInputs().found(0.0) == []
