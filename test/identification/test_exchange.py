@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inputs that act on the axis of another one."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from uav_ident_ros.identification.exchange import ExchangedInputs
+from uav_ident_ros.identification.plausibility import exchange_finding
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.scales import SURE
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES
@@ -15,15 +18,15 @@ EFFECT = np.array([[0.0, 3.0, 45.0, 0.0], [-30.0, 0.0, 0.0, 0.0], [0.0, -9.0, -1
 """Effects of de, dr, da, dth on roll, pitch, yaw."""
 
 
-def looked(
+def exchanged(
     order: list[int],  # Input that each channel takes for its own
     *,
     dead: tuple[int, ...] = (),  # Inputs without effect
     still: tuple[int, ...] = (),  # Inputs that do not move
     size: int = SIZE,  # Regressors of the structure
     seed: int = 1,
-) -> list[tuple[str, str]]:
-    """Return what is found in five seconds of excitation with independent disturbances."""
+) -> ExchangedInputs:
+    """Return the effects in five seconds of excitation with independent disturbances."""
     rng = np.random.default_rng(seed)
     u = 0.05 * rng.standard_normal((round(TIME / DT), 4))
     u[:, list(still)] = 0.0
@@ -32,10 +35,15 @@ def looked(
     y = u @ effect.T + 0.05 * rng.standard_normal((len(u), 3))
     f = np.zeros((len(u), size))
     f[:, INPUT_COLUMNS] = u[:, order]
-    exchanged = ExchangedInputs()
+    effects = ExchangedInputs()
     for k in range(0, len(u), 4):
-        exchanged.add(Regression.of(y[k : k + 4], f[k : k + 4], f[k : k + 4], DT))
-    return exchanged.found(SURE)
+        effects.add(Regression.of(y[k : k + 4], f[k : k + 4], f[k : k + 4], DT))
+    return effects
+
+
+def looked(order: list[int], **given: Any) -> list[tuple[str, str]]:
+    """Return what is found."""
+    return exchanged(order, **given).found(SURE)
 
 
 @pytest.mark.parametrize("size", [SIZE, STRUCTURES["baseline"].size])
@@ -65,3 +73,14 @@ def test_inputs_that_do_not_move_show_nothing() -> None:
     assert looked([2, 1, 0, 3], still=(0,)) == []
     assert looked([0, 1, 2, 3], still=(0, 1, 2, 3)) == []
     assert ExchangedInputs().found(0.0) == []
+
+
+def test_exchanged_surfaces_or_motors_are_named() -> None:
+    effects = exchanged([0, 2, 1, 3])
+    found = exchange_finding(effects)
+    assert found is not None
+    assert found.text.startswith("aileron and rudder are swapped: dr rolls the aircraft more than")
+    found = exchange_finding(effects, multirotor=True)
+    assert found is not None
+    assert found.text.startswith("the motors are in another order: dr rolls")
+    assert exchange_finding(exchanged([0, 1, 2, 3])) is None

@@ -4,7 +4,7 @@
 Gravity and rigid-body rotation hold in any manoeuvre. The specific force, averaged over seconds,
 is one g upwards. Rotated by the gyro into one attitude it keeps this mean in turns, rolls and
 loops, less the change of velocity, a few m/s^2 at most. Channels are checked for impossible
-deflections, coefficients for swapped or reversed surfaces. A finding gives problem, evidence and
+deflections, their effects for swapped or reversed surfaces. A finding gives problem, evidence and
 cure.
 """
 
@@ -113,7 +113,7 @@ def clock_step(seconds: float) -> Finding:
 
 
 class Doubt(NamedTuple):
-    """Hypothesis that channels are swapped or reversed, from their control derivatives.
+    """Hypothesis that channels are swapped or reversed, from their effects.
 
     It is dropped when it becomes the less likely. It is confirmed if it is significant again after
     `ENOUGH` s.
@@ -177,12 +177,12 @@ class Plausibility:
         self.noted[finding.name] = finding
 
     def judge(self, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Check the coefficients for channels that are swapped or reversed."""
+        """Check for inputs that are reversed, by the coefficients, or swapped."""
         known, motors = (self._structure, coefficients, sigma, self._expected), self._multirotor
 
         def find(sure: float = SURE) -> Finding | None:
-            of_coefficients = coefficient_finding(*known, sure, multirotor=motors)
-            return of_coefficients or exchange_finding(self.exchanged, sure, multirotor=motors)
+            signs = sign_finding(*known, sure, multirotor=motors)
+            return signs or exchange_finding(self.exchanged, sure, multirotor=motors)
 
         found, before = find(), self.doubt
         if found is None:
@@ -414,7 +414,7 @@ def _interleaved(name: str, u: FloatArray) -> Finding | None:
     )
 
 
-def coefficient_finding(
+def sign_finding(
     structure: Structure,
     coefficients: FloatArray,
     sigma: FloatArray,
@@ -423,41 +423,26 @@ def coefficient_finding(
     *,
     multirotor: bool = False,  # Whether the text names motors in place of surfaces
 ) -> Finding | None:
-    """Return a finding if control derivatives show swapped or reversed channels.
-
-    Channels are swapped if dr has the larger roll moment, and not clearly the larger yaw moment, of
-    dr and da. With swapped channels the rudder's side force has no column, since da has none in the
-    row of ay. The yaw moments of the two are therefore separated late, if at all.
-    """
-
-    def exceeds(larger: str, smaller: str, sure: float) -> bool:
-        i, j = structure.index(larger), structure.index(smaller)
-        by = abs(coefficients.item(i)) - abs(coefficients.item(j))
-        return by > sure * math.hypot(sigma.item(i), sigma.item(j))
-
-    names = ("yaw and roll inputs", "motor") if multirotor else ("rudder and aileron", "surface")
-    both, actuator = names
+    """Return a finding if control derivatives have another sign than expected."""
     wrong = []
     for entry in expected:
         sign, index = entry[0], structure.index(entry[1:])
         value, spread = float(coefficients[index]), float(sigma[index])
         if spread > 0.0 and value * (1.0 if sign == "+" else -1.0) < -sure * spread:
             wrong.append(f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}")
-    if wrong:
-        cure = (
-            f"a {actuator} is connected the wrong way round; turn it, or its sign in "
-            "actuators.mixing. If that is right, an axis of the Imu is reversed: see imu.rpy"
-        )
-        if len(wrong) > 1:
-            cure = "the Imu may point backwards; correct imu.rpy, or the signs in actuators.mixing"
-        return Finding("signs", f"{', '.join(wrong)}: {cure}")
-    if not exceeds("pdot/dr", "pdot/da", sure) or exceeds("rdot/dr", "rdot/da", SURE):
+    if not wrong:
         return None
-    return Finding(
-        "swapped",
-        f"{both} are swapped: dr rolls the aircraft more than da does; exchange them in "
-        "actuators.channels or actuators.mixing",
+    cure = (
+        f"a {'motor' if multirotor else 'surface'} is connected the wrong way round; turn it, or its "
+        "sign in actuators.mixing. If that is right, an axis of the Imu is reversed: see imu.rpy"
     )
+    if len(wrong) > 1:
+        cure = "the Imu may point backwards; correct imu.rpy, or the signs in actuators.mixing"
+    return Finding("signs", f"{', '.join(wrong)}: {cure}")
+
+
+_ACTS = {"da": ("aileron", "rolls"), "de": ("elevator", "pitches"), "dr": ("rudder", "yaws")}
+"""Of each main input the surface, and how it turns the aircraft."""
 
 
 def exchange_finding(
@@ -466,18 +451,19 @@ def exchange_finding(
     *,
     multirotor: bool = False,  # Whether the text names motors in place of surfaces
 ) -> Finding | None:
-    """Return a finding if inputs act in the place of others: the structures do not show all."""
-    turns = dict(zip(("da", "de", "dr"), ("rolls", "pitches", "yaws"), strict=True))
-    found = [
-        f"{acts} {turns[instead]} the aircraft more than {instead} does"
-        for acts, instead in exchanged.found(sure)
-    ]
-    if not found:
+    """Return a finding if inputs act in the place of others: the structures do not show it."""
+    if not (found := exchanged.found(sure)):
         return None
-    what = "motors are in another order" if multirotor else "inputs are swapped"
+    what = " and ".join(_ACTS[instead][0] for _, instead in found) + " are swapped"
+    if multirotor:
+        what = "the motors are in another order"
+    evidence = ", ".join(
+        f"{acts} {_ACTS[instead][1]} the aircraft more than {instead} does"
+        for acts, instead in found
+    )
     return Finding(
         "swapped",
-        f"{what}: {', '.join(found)}; exchange them in actuators.channels or actuators.mixing",
+        f"{what}: {evidence}; exchange them in actuators.channels or actuators.mixing",
     )
 
 
