@@ -432,9 +432,10 @@ def sign_finding(
             wrong.append(f"{entry[1:]} is {value:.3g} +- {spread:.2g}, expected is {sign}")
     if not wrong:
         return None
+    actuator = "motor" if multirotor else "surface"
     cure = (
-        f"a {'motor' if multirotor else 'surface'} is connected the wrong way round; turn it, or its "
-        "sign in actuators.mixing. If that is right, an axis of the Imu is reversed: see imu.rpy"
+        f"a {actuator} is connected the wrong way round; turn it, or its sign in "
+        "actuators.mixing. If that is right, an axis of the Imu is reversed: see imu.rpy"
     )
     if len(wrong) > 1:
         cure = "the Imu may point backwards; correct imu.rpy, or the signs in actuators.mixing"
