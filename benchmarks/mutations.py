@@ -8,6 +8,7 @@ Numbers computed from others, and those in `GIVEN`, do not count; ``--list`` lis
 
 import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -83,6 +84,7 @@ def constants(module: str) -> Iterator[str]:
     """Yield the names of a module's chosen numbers, in capitals."""
     given = set().union(*GIVEN.values())
     for name, node in _declared((ROOT / path_of(module)).read_text(encoding="utf-8")).items():
+        assert node.value is not None
         inner = list(ast.walk(node.value))
         names = {n.id for n in inner if isinstance(n, ast.Name)}
         types = {type(n.value) for n in inner if isinstance(n, ast.Constant)}
@@ -91,13 +93,13 @@ def constants(module: str) -> Iterator[str]:
             yield name
 
 
-def _declared(source: str) -> dict[str, ast.Assign]:
-    """Return the declarations of names in capitals."""
-    found = {}
+def _declared(source: str) -> dict[str, ast.Assign | ast.AnnAssign]:
+    """Return the declarations of names in capitals, with or without a type."""
+    found: dict[str, ast.Assign | ast.AnnAssign] = {}
     for node in ast.parse(source).body:
-        if not isinstance(node, ast.Assign):
+        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
             continue
-        target = node.targets[0]
+        target = node.targets[0] if isinstance(node, ast.Assign) else node.target
         for name in target.elts if isinstance(target, ast.Tuple) else [target]:
             # names with an underscore are indices of tables
             if isinstance(name, ast.Name) and name.id.isupper() and name.id[0] != "_":
@@ -123,17 +125,20 @@ def mutated(source: str, constant: str, factor: float) -> str:
     return source[:end] + changed + source[end:]
 
 
-def notices(folder: Path, tests: Sequence[str]) -> bool:
-    """Return whether a test fails in a copy of the repository."""
+def noticing(folder: Path, tests: Sequence[str]) -> str:
+    """Return the first test that fails in a copy of the repository; empty if none does."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
     try:
         done = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, timeout=LONGEST
+            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST
         )
     except subprocess.TimeoutExpired:
-        return True
-    return done.returncode != 0
+        return f"no end in {LONGEST:g} s"
+    failed = re.search(r"^(?:FAILED|ERROR) test/identification/(.+?)(?: - |$)", done.stdout, re.M)
+    if failed:
+        return failed[1]
+    return "" if done.returncode == 0 else f"pytest ended with status {done.returncode}"
 
 
 def tests_of(module: str) -> tuple[str, ...]:
@@ -144,6 +149,24 @@ def tests_of(module: str) -> tuple[str, ...]:
     return tuple(str(test) for test in found if (ROOT / test).exists())
 
 
+def modules_of_the_core() -> list[str]:
+    """Return the names of all modules of the core, those in a folder with its name."""
+    every = (p.relative_to(ROOT / CORE) for p in sorted((ROOT / CORE).rglob("*.py")))
+    return [".".join(p.with_suffix("").parts) for p in every]
+
+
+def stale() -> list[str]:
+    """Return the names in `TESTS` and `GIVEN` that the core and its tests do not have."""
+    modules = modules_of_the_core()
+    short = {module.rpartition(".")[2] for module in modules}
+    declared: set[str] = set()
+    for module in modules:
+        declared |= set(_declared((ROOT / path_of(module)).read_text(encoding="utf-8")))
+    files = {test for tests in TESTS.values() for test in tests}
+    there = {path.name for path in (ROOT / "test" / "identification").glob("test_*.py")}
+    return sorted({*TESTS} - short | files - there | set().union(*GIVEN.values()) - declared)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the mutations; return the exit status, 1 if one is not detected."""
     parser = bench.parser(__doc__)
@@ -151,8 +174,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--constants", nargs="+", help="these alone")
     parser.add_argument("--list", action="store_true", help="list the constants, change none")
     options = parser.parse_args(arguments)
-    every = [p.relative_to(ROOT / CORE) for p in sorted((ROOT / CORE).rglob("*.py"))]
-    modules = options.modules or [".".join(p.with_suffix("").parts) for p in every]
+    modules = options.modules or modules_of_the_core()
+    if gone := stale():
+        print(f"TESTS and GIVEN have names that do not exist: {', '.join(gone)}; correct them")
+        return 1
     if options.list:
         found = {module: list(constants(module)) for module in modules}
         for module, names in found.items():
@@ -168,19 +193,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for module in modules:
             source, tests = (ROOT / path_of(module)).read_text(encoding="utf-8"), tests_of(module)
             names = [n for n in constants(module) if n in (options.constants or [n])]
-            if names and tests and notices(folder, tests):
-                print(f"{module}: its tests fail before anything is changed: they tell nothing")
+            if names and tests and (failing := noticing(folder, tests)):
+                print(f"{module}: {failing} fails before anything is changed: it tells nothing")
                 return 1
             for constant in names:
-                missed = []
+                missed = False
                 for factor in FACTORS:
                     (folder / path_of(module)).write_text(mutated(source, constant, factor))
-                    if not tests or not notices(folder, tests):
-                        missed.append(f"x {factor:g}")
+                    by = noticing(folder, tests) if tests else ""
+                    missed = missed or not by
+                    print(f"{module}.{constant} x {factor:g}: {by or 'NOT NOTICED'}", flush=True)
                 (folder / path_of(module)).write_text(source)
-                tried, unnoticed = tried + 1, unnoticed + bool(missed)
-                printed = f"NOT NOTICED {', '.join(missed)}" if missed else "noticed"
-                print(f"{module}.{constant}: {printed}", flush=True)
+                tried, unnoticed = tried + 1, unnoticed + missed
     print(f"{tried} constants, {unnoticed} of them unnoticed")
     return int(unnoticed > 0)
 

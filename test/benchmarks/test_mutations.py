@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mutation run: it finds the constants, changes one at a time, and its tests exist."""
 
+from pathlib import Path
+
 import mutations
 import pytest
 
@@ -25,8 +27,8 @@ def test_constants_are_found_and_one_line_changes() -> None:
 
 @pytest.mark.parametrize(
     ("declared", "changed"),
-    [("A = 3.0", 1.5), ("A = 4", 2), ("B, A = 1, 8", 4), ('A = {"x": 1.0}', {"x": 0.5}),
-     ("A = (2.0, 4.0)", (1.0, 2.0))],
+    [("A = 3.0", 1.5), ("A: float = 3.0", 1.5), ("A = 4", 2), ("B, A = 1, 8", 4),
+     ('A = {"x": 1.0}', {"x": 0.5}), ("A = (2.0, 4.0)", (1.0, 2.0))],
 )  # fmt: skip
 def test_every_form_of_a_constant_is_changed(declared: str, changed: object) -> None:
     namespace: dict[str, object] = {}
@@ -51,3 +53,23 @@ def test_the_named_tests_exist() -> None:
     for module in mutations.TESTS:
         assert len(mutations.tests_of(module)) == len(mutations.TESTS[module]), module
     assert mutations.tests_of("plausibility")
+
+
+def test_a_name_that_is_gone_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert mutations.stale() == []
+    monkeypatch.setitem(mutations.TESTS, "former", ("test_gates.py", "test_former.py"))
+    monkeypatch.setitem(mutations.GIVEN, "nothing", {"FORMER"})
+    assert mutations.main(["--list"]) == 1
+    assert "do not exist: FORMER, former, test_former.py" in capsys.readouterr().out
+
+
+def test_the_test_that_notices_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "test" / "identification"
+    folder.mkdir(parents=True)
+    (folder / "test_one.py").write_text("def test_a(): pass\ndef test_b(): assert 1 == 2\n")
+    tests = ["test/identification/test_one.py"]
+    assert mutations.noticing(tmp_path, tests) == "test_one.py::test_b"
+    (folder / "test_one.py").write_text("def test_a(): pass\n")
+    assert mutations.noticing(tmp_path, tests) == ""
