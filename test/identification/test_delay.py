@@ -9,6 +9,7 @@ import flying
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
 from uav_ident_ros.identification import delay
 from uav_ident_ros.identification.estimate import Estimate
@@ -329,6 +330,42 @@ def test_the_errors_must_rise_clearly_within_75_ms_of_the_minimum(rise: float, s
     estimate = delay.judge(np.exp(0.1 * blocks), delays)
     assert estimate.rise == pytest.approx(rise, rel=0.1)
     assert estimate.sure == sure
+
+
+@pytest.mark.parametrize(("flat", "known"), [(0.05, True), (0.1, False)])
+def test_the_errors_count_where_they_differ_by_75_ms(flat: float, known: bool) -> None:
+    """They rise beyond `flat`, s; up to there by two of their standard deviations."""
+    delays = 0.025 * np.arange(-4, 17)
+    steps = np.abs(delays - 0.15) / 0.025
+    rise = 0.02 * np.minimum(steps, 1.0) ** 2 + np.clip(steps - flat / 0.025, 0.0, 1.0)
+    chance = np.random.default_rng(1).normal(size=(24, len(delay.LAGS), len(delays), 3))
+    longer = 3.0 * np.arange(len(delay.LAGS))[:, None, None]  # lags predict much worse
+    estimate = delay.judge(np.exp(rise[:, None] + 0.06 * chance + longer), delays)
+    assert estimate.delay == pytest.approx(0.15, abs=0.01)
+    assert bool(estimate.off(0.0)) == known
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.06, 0.12])
+def test_the_bank_has_the_lags_of_servos(lag: float) -> None:
+    """A lag that is not in use: the sum with the delay is right, and all of it may be hidden."""
+    step, t, rng = 0.01, 0.01 * np.arange(3000), np.random.default_rng(1)
+    waves = 2.0 * np.pi * rng.uniform(0.2, 3.0, (3, 12, 1)) * t
+    commands = 0.03 * np.sin(waves + rng.uniform(0.0, 2.0 * np.pi, (3, 12, 1))).sum(axis=1).T
+    moved = np.vstack((np.zeros((3, 3)), commands[:-3]))  # 30 ms late
+
+    def followed(signal: FloatArray, time: float) -> FloatArray:
+        decay = math.exp(-step / time) if time else 0.0
+        return np.asarray(lfilter([1.0 - decay], [1.0, -decay], signal, axis=0))
+
+    effect = np.array([[0.0, -5.0, 0.0], [0.0, 0.0, -1.0], [4.0, 0.0, 0.0]])  # de dr da to p q r
+    rates = followed(followed(moved, lag), 0.2) @ effect
+    x = np.vstack((np.zeros(3), rates)) + 0.01 * rng.normal(size=(3001, 3))
+    bank = delay.DelayBank(0.3)
+    for block in flying.blocks(x, np.hstack((commands, np.zeros((3000, 1)))), step, cells=50):
+        bank.add(block, 0.0)
+    assert bank.estimate.total == pytest.approx(0.03 + lag, abs=0.015)
+    assert bank.estimate.total_sigma < 0.02
+    assert bank.estimate.hidden == pytest.approx(lag, abs=0.01)
 
 
 def test_the_delay_of_the_recorded_flight_is_80_to_120_ms() -> None:
