@@ -135,6 +135,9 @@ def test_a_coefficient_is_known_by_t_ratio_or_if_surely_small() -> None:
     assert not known[AUGMENTED.index("pdot/pq")]
     assert known[AUGMENTED.index("pdot/dr")]  # value 3.1, sigma 2, aileron 29.5
     assert known[~AUGMENTED.mask].all()
+    other = Coefficients.from_message(message(sigma={"qdot/de": 8.0, "pdot/dr": 4.0})).known
+    assert other[AUGMENTED.index("qdot/de")]  # value 26, sigma 8
+    assert not other[AUGMENTED.index("pdot/dr")]  # value 3.1, sigma 4, aileron 29.5
 
 
 # --- the model --------------------------------------------------------------------------------
@@ -146,6 +149,12 @@ def test_prediction_agrees_with_a_fine_integration() -> None:
     flying = model()
     fine = solve_ivp(lambda _, v: flying.acceleration(v, u, force), (0.0, 0.5), x, rtol=1e-9)
     np.testing.assert_allclose(flying.predict(x, u, 0.5, force), fine.y[:, -1], atol=1e-6)
+
+
+def test_prediction_resolves_a_mode_of_30_rad_per_second() -> None:
+    fast = model(pdot_p=-30.0, **{name: 0.0 for name in ("pdot_pq", "pdot_r", "pdot_q")})
+    p = fast.predict(np.array([1.0, 0.0, 0.0]), np.zeros(4), 0.1)[0]
+    assert p == pytest.approx(math.exp(-3.0), rel=2e-3)
 
 
 def test_without_forces_the_force_terms_and_the_constant_are_omitted() -> None:
@@ -272,6 +281,18 @@ def test_inversion_is_refused_by_axis_or_input_without_known_effect() -> None:
     assert set(unknown.left_out) >= {"rdot/dr", "pdot/dr"}
     with pytest.raises(Refusal, match="dr not identified"):
         unknown.invert(np.ones(3), np.zeros(3))
+
+
+@pytest.mark.parametrize(("share", "moves"), [(0.008, False), (0.015, True)])
+def test_inversion_needs_a_hundredth_of_the_largest_effect_in_every_direction(
+    share: float, moves: bool
+) -> None:
+    weak = model(pdot_da=29.5, rdot_dr=-29.5 * share, rdot_da=0.0, pdot_dr=0.0)
+    if moves:
+        assert weak.invert(np.ones(3), np.zeros(3)).acceleration == pytest.approx(np.ones(3))
+    else:
+        with pytest.raises(Refusal, match="nothing moves rdot by itself"):
+            weak.invert(np.ones(3), np.zeros(3))
 
 
 # --- which coefficients -----------------------------------------------------------------------

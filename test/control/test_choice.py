@@ -362,6 +362,7 @@ def test_a_dead_input_has_its_former_sign(reversals: int) -> None:
         (0.55, False, 1.0),  # other axes of a tumbling aircraft
         (1.4, True, 1.0),  # more effect needs twice the evidence
         (1.7, True, 1.7),
+        (3.0, True, 2.0),
     ],
 )
 def test_a_significant_measured_effect_is_used_unless_the_aircraft_tumbles(
@@ -370,3 +371,110 @@ def test_a_significant_measured_effect_is_used_unless_the_aircraft_tumbles(
     chosen, _, measured = with_measured_factor(1, factor)
     measured.dead[0] = not rolls
     assert chosen.update(LATER + 10**9, measured).share[1] == pytest.approx(share)
+
+
+# --- times and thresholds of the measured effect -----------------------------------------------
+
+
+def test_the_effect_is_measured_over_two_seconds_20_times_a_second() -> None:
+    """A second after the effect has halved, the mean of both is measured."""
+    measured, seen = Effectiveness(), set()
+    for k in range(1100):
+        made = np.full(3, np.sin(0.02 * np.pi * k))
+        measured.update(made * (1.0 if k < 1000 else 0.5), made, 0.01)
+        seen |= {float(measured.factor[0])} if k >= 1000 else set()
+    assert measured.factor == pytest.approx([0.75] * 3, abs=0.03)
+    assert 16 <= len(seen) <= 21
+
+
+def test_a_measured_effect_is_used_after_a_third_of_a_second() -> None:
+    """A gust may look like another effect for as long as the filter keeps it."""
+    chosen, _, measured = with_measured_factor(0, 0.6)
+    for seconds, share in ((0.2, 1.0), (0.4, 0.6)):
+        effect = chosen.update(LATER + round(seconds * 1e9), measured)
+        assert effect.share[0] == pytest.approx(share)
+
+
+def test_sigma_keeps_the_gusts_of_the_last_forty_seconds() -> None:
+    measured, sigmas = Effectiveness(), []
+    measured._age = 60.0  # or longer
+    for k, (seconds, noise) in enumerate([(4.0, 20.0), (2.1, 0.0), (10.0, 0.0)]):
+        measure(measured, seconds, 1.0, 1.0, noise, k)
+        sigmas.append(float(measured.sigma[0]))
+    assert sigmas[2] / sigmas[1] == pytest.approx(np.exp(-0.5 * 10.0 / 40.0), rel=0.03)
+
+
+def test_without_noise_sigma_is_a_tenth() -> None:
+    """The effect depends on the airspeed and on the deflection."""
+    measured = Effectiveness()
+    measure(measured, 5.0, 1.0, 1.0, 0.0)
+    assert measured.sigma == pytest.approx([0.1] * 3)
+
+
+def fault_time(answer: float, *, noise: float = 0.0, jolt: float = 0.0, calm: float = 0.0) -> float:
+    """Return the time in which the steady answer to inputs of 1 rad/s^3 counts as a fault, s.
+
+    With `noise`, that jerk is usual at the beginning. A `jolt` adds to it for a tenth of a second.
+    Then the air is `calm`, s.
+    """
+    measured, made = Effectiveness(), np.ones(3)
+    for k in range(1500 if noise else 0):
+        measured.update(np.full(3, noise + jolt * (k >= 1490)), np.zeros(3), 0.01)
+    for _ in range(round(calm / 0.01)):
+        measured.update(np.zeros(3), np.zeros(3), 0.01)
+    for k in range(500):
+        measured.update(answer * made, made, 0.01)
+        if measured.dead.all() or measured.reversed.all():
+            return 0.01 * (k + 1)
+    return np.inf
+
+
+def test_a_fault_is_found_in_a_tenth_of_a_second_once_the_noise_is_known() -> None:
+    """The noise is known after 0.7 s; a reversal takes 0.15 s."""
+    assert fault_time(0.0) == pytest.approx(0.8, abs=0.025)
+    assert fault_time(-1.0) == pytest.approx(0.85, abs=0.025)
+
+
+def test_a_fault_in_noise_is_found_at_a_log_likelihood_ratio_of_22() -> None:
+    """Independent samples come at half the filter's bandwidth; noise is forgotten in 3 s."""
+    ratio = 15.0 / 2.0 * 2.0**2 / 2.0  # 1/s, of a reversed and the right effect
+    for calm in (0.0, 3.0):
+        expected = 3.0 * np.log(1.0 + 22.0 * np.exp(-calm / 3.0) / (3.0 * ratio))
+        assert fault_time(-1.0, noise=1.0, calm=calm) == pytest.approx(expected, rel=0.05)
+
+
+def test_a_sample_beyond_three_sigma_counts_as_three() -> None:
+    """The jerk of a jamming aileron would hide for seconds that its effect is lost."""
+    longer = fault_time(-1.0, noise=0.5, jolt=20.0) / fault_time(-1.0, noise=0.5)
+    assert longer == pytest.approx(np.exp(0.1 * (3.0**2 - 1.0) / 3.0), rel=0.1)
+
+
+@pytest.mark.parametrize(("factor", "source"), [(0.85, "nominal"), (0.75, "measured")])
+def test_a_measured_effect_is_reported_from_a_change_of_a_fifth_on(
+    factor: float, source: str
+) -> None:
+    chosen, _, measured = with_measured_factor(0, factor, 0.02)
+    effect = chosen.update(LATER + 10**9, measured)
+    assert effect.share[0] == pytest.approx(factor)
+    assert effect.sources[0] == source
+
+
+@pytest.mark.parametrize(
+    ("share", "adopted"), [(0.015, False), (0.03, True), (8.0, True), (12.0, False)]
+)
+def test_a_row_with_a_fiftieth_to_ten_times_the_nominal_authority_is_adopted(
+    share: float, adopted: bool
+) -> None:
+    chosen, source = choice()
+    source.add(changed(coefficients(1.0, LATER), "qdot/de", -26.0 * share, 1e-6))
+    assert (chosen.update(LATER, Effectiveness()).sources[1] == "identified") == adopted
+
+
+def test_a_measured_sigma_has_doubled_after_three_seconds() -> None:
+    chosen, _, measured = with_measured_factor(0, 0.6)
+    later = LATER + 10**9
+    assert chosen.update(later, measured).share[0] == pytest.approx(0.6)
+    measured.since[0], measured.since_sigma[0] = 0.55, 0.15  # in use: 0.1
+    for seconds, share in ((1.2, 0.6), (1.8, 0.55)):
+        effect = chosen.update(later + round(seconds * 1e9), measured)
+        assert effect.share[0] == pytest.approx(share)

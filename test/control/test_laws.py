@@ -22,8 +22,8 @@ from plants import (
     flown,
 )
 
-from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
-from uav_ident_ros.control import LAWS, IncrementalLaw, RateController
+from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource, Fallback
+from uav_ident_ros.control import LAWS, Gains, IncrementalLaw, InversionLaw, RateController
 from uav_ident_ros.control.allocation import authority
 from uav_ident_ros.control.controller import Law
 from uav_ident_ros.control.laws import Smoother
@@ -243,3 +243,64 @@ def test_the_filter_is_exact_at_any_step() -> None:
     wd = w * np.sqrt(1.0 - d**2)
     step = 1.0 - np.exp(-d * w * t) * (np.cos(wd * t) + d * w / wd * np.sin(wd * t))
     np.testing.assert_allclose(coarse.value, step, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("gap", "restarts"), [(0.08, False), (0.15, True)])
+def test_only_a_gap_of_more_than_a_tenth_of_a_second_restarts_the_loop(
+    gap: float, restarts: bool
+) -> None:
+    """A restarted loop does not differentiate a step of the reference within the gap."""
+    flying, _ = controller(adaptive=False)
+    for k in range(20):
+        flying.update(START + k * DT_NS, np.zeros(3), np.zeros(3))
+    t_ns = START + 19 * DT_NS + round(gap * 1e9)
+    late = flying.update(t_ns, np.zeros(3), STEP)
+    anew = controller(adaptive=False)[0].update(t_ns, np.zeros(3), STEP)
+    assert np.allclose(late, anew, rtol=1e-3) == restarts
+
+
+@pytest.mark.parametrize(("gap", "held"), [(0.8, True), (1.5, False)])
+def test_the_last_inputs_hold_for_a_second_of_a_gap(gap: float, held: bool) -> None:
+    """Later another controller may have flown the aircraft, and their trim is unknown."""
+    flying, _ = controller(adaptive=False)
+    for k in range(50):
+        last = flying.update(START + k * DT_NS, np.array([0.1, 0.0, 0.0]), np.zeros(3))
+    assert last[2] < -0.05
+    late = flying.update(START + 49 * DT_NS + round(gap * 1e9), np.zeros(3), np.zeros(3))
+    np.testing.assert_allclose(late, last if held else np.zeros(4), atol=1e-3)
+
+
+def test_the_sideslip_stops_a_roll_as_fast_as_the_yaw_loop() -> None:
+    """``beta' = -r`` and ``p' = L beta``: the missing roll acceleration decays exponentially."""
+    values = matrix(STRUCTURE, VALUES | {"pdot/beta": -14.0, "pdot/dr": 0.0, "rdot/beta": 4.0})
+    yaw = yaw_for_roll(Coefficients(STRUCTURE, values, np.zeros_like(values)))
+    wanted, beta, dt = 1.0, 0.0, 0.001
+    for _ in range(500):
+        beta -= dt * yaw * (wanted + 14.0 * beta)
+    rate = IncrementalLaw.gains.rate[2]
+    assert wanted + 14.0 * beta == pytest.approx(np.exp(-0.5 * rate), rel=0.01)
+
+
+@pytest.mark.parametrize(("r", "turns_on"), [(-0.25, True), (-0.35, False)])
+def test_rolling_by_sideslip_yaws_with_at_most_17_deg_per_second(r: float, turns_on: bool) -> None:
+    effect = coefficients().values[:3, INPUT_COLUMNS]
+    law, x = IncrementalLaw(LIMITS, authority(effect, LIMITS)), np.array([0.0, 0.0, r])
+    law.restart(x, np.zeros(3), np.zeros(4))
+    missing = np.array([2.0, 0.0, 0.0])  # a reference of the roll rate, five times in 1/s
+    u = law.update(0.01, effect, x, missing, np.zeros(4), yaw_for_roll=-1.0)
+    assert ((effect @ u)[2] < 0.0) == turns_on
+
+
+def test_the_observer_finds_a_disturbance_with_the_bandwidth_and_in_yaw_with_half_of_it() -> None:
+    """It is critically damped; the inputs that it asks for are not given to the aircraft here."""
+    values = matrix(STRUCTURE, {"pdot/da": 29.5, "qdot/de": -26.0, "rdot/dr": -4.3})
+    model = AttitudeModel(STRUCTURE, values, STRUCTURE.mask, FLOW)
+    effect, push, dt = values[:3, INPUT_COLUMNS], np.array([1.0, 0.5, 0.2]), 0.001
+    law = InversionLaw(LIMITS, authority(effect, LIMITS), Gains((0.0, 0.0, 0.0), bandwidth=8.0))
+    law.restart(model, effect, np.zeros(3), np.zeros(3))
+    for k in range(201):
+        u = law.update(dt, model, effect, push * k * dt, np.zeros(3), np.zeros(4))
+    phase = 0.2 * np.array([8.0, 8.0, 4.0])
+    np.testing.assert_allclose(
+        effect @ u, -push * (1.0 - np.exp(-phase) * (1.0 + phase)), rtol=0.02
+    )

@@ -118,3 +118,24 @@ def test_a_tight_turn_does_not_bias_the_effect_of_the_elevator() -> None:
         u[[2, 0, 1]] = np.array([0.1, -0.3, -1.0]) * (wanted - state[:3])
     answered, made = np.array(found)[500:].T
     assert (answered * made).sum() / (made**2).sum() == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_filter_answers_a_step_most_after_70_ms() -> None:
+    """Its bandwidth is 15 rad/s: beyond all laws, and below the noise of a gyro's derivative."""
+    model = AttitudeModel(STRUCTURE, matrix(STRUCTURE, {}), STRUCTURE.mask)
+    response, effect, made = Response(), np.zeros((3, 4)), []
+    effect[0, 2] = 30.0
+    for k in range(40):
+        inputs = np.array([[0.0, 0.0, 0.1 * (k > 0), 0.0]])
+        if response.update(np.zeros(3), effect, inputs, 0.01, model):
+            made.append(response.made[0, 0])
+    assert 0.01 * (1 + np.argmax(made)) == pytest.approx(np.arctan(0.75) / 9.0, abs=0.01)
+    assert 0.01 * np.sum(made) == pytest.approx(3.0, rel=0.02)
+
+
+def test_the_bias_of_a_gyro_turns_into_a_sideslip_of_half_a_minute() -> None:
+    """Not into one that grows for ever: 0.01 rad/s make 0.3 rad."""
+    flow = FlowState(0.0, 0.0, 0.0, 0.0, roll=0.0, pitch=0.0, airspeed=AIRSPEED)
+    own = own_motion(AttitudeModel(STRUCTURE, matrix(STRUCTURE, {}), STRUCTURE.mask, flow))
+    assert own[3, 2] * 0.01 / -own[3, 3] == pytest.approx(-0.3)
+    assert own[4, 1] * 0.01 / -own[4, 4] == pytest.approx(0.3)
