@@ -265,6 +265,13 @@ def test_the_delay_is_the_minimum_and_unsure_if_flat_or_at_an_end() -> None:
         assert not delay.judge(curve(beyond), DELAYS).sure
 
 
+def test_no_delay_is_known_better_than_a_third_of_a_step() -> None:
+    """Errors without any scatter; noise in the regressors and held inputs bias them all alike."""
+    assert delay.judge(curve(0.11, noise=1e-6), DELAYS).sigma == pytest.approx(0.0075, rel=0.01)
+    sigmas = (0.014, 0.016)  # two of these errors lower the fit
+    assert [delay.DelayEstimate(sigma=s, rise=10.0).sure for s in sigmas] == [True, False]
+
+
 def test_a_block_with_huge_errors_counts_as_one_block() -> None:
     blocks = np.concatenate([curve(0.11)] * 4)
     take_off = 1e3 * curve(0.02)[:1]  # larger than all others together, with another minimum

@@ -73,6 +73,14 @@ def test_sigma_covers_the_error(estimator: str) -> None:
     assert (pooled < 2.0).mean() > 0.85
 
 
+def test_no_coefficient_is_known_better_than_3_percent() -> None:
+    """One value holds for a range of speeds and angles, which a linear plant does not show."""
+    identifier, (*_, last) = identified(measured(20.0, noise=1e-4), structure=STRUCTURE)
+    places = tuple(np.transpose([identifier.structure.index(name) for name in DOMINANT]))
+    share = last.sigma[places] / np.abs(last.coefficients[places])
+    np.testing.assert_allclose(share, 0.03, rtol=0.1)
+
+
 def test_known_inertias_fix_the_rate_products_and_fixed_ones_have_no_sigma() -> None:
     body, names = SMALL_UAV.inertia, ("pdot/dth", "rdot/dth")
     assert body is not None

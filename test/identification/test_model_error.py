@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.estimators.model_error import ModelError
+from uav_ident_ros.identification.estimators.model_error import ModelError, _solved
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.structure import STRUCTURES
 
@@ -233,3 +233,13 @@ def test_an_early_yaw_of_a_multirotor_counts_for_itself_alone() -> None:
     np.testing.assert_array_equal(early_yaw.relative_error(KNOWN_ROWS), [0.5, 0.5, 0.5])
     np.testing.assert_array_equal(early_yaw.relative_error(KNOWN_ROWS, rotors=True), [0, 0, 0.5])
     np.testing.assert_array_equal(early_roll.relative_error(KNOWN_ROWS, rotors=True), [0.5] * 3)
+
+
+def test_a_difference_of_a_ten_thousandth_of_the_power_is_found_by_a_third() -> None:
+    """An input and its square, one-sided, are that similar; chance then makes large errors."""
+    common, apart = 2.0 - 1e-4, 1e-4  # power of the sum and of the difference
+    power = 0.5 * np.array([[common + apart, common - apart], [common - apart, common + apart]])
+    effect = np.array([1.5, 0.5])
+    *_, found = _solved(power[None], power[None], (power @ effect)[None], np.eye(2)[None])
+    assert found[0, 0].sum() == pytest.approx(2.0, rel=1e-3)
+    assert found[0, 0, 0] - found[0, 0, 1] == pytest.approx(1.0 / 3.0, rel=0.01)
