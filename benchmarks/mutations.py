@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mutation test of the core's constants: ``python benchmarks/mutations.py [MODULE ...]``.
 
+A module of the core, or ``control.MODULE``; ``control`` stands for all of these.
+
 In a copy of the repository each number with a name in capitals is halved, then doubled, and the
 quick tests of its module run. A constant whose change no test detects needs a test, or must go.
 Numbers computed from others, and those in `GIVEN`, do not count; ``--list`` lists the rest.
@@ -20,6 +22,7 @@ import bench
 from bench import ROOT
 
 CORE = Path("uav_ident_ros") / "identification"
+CONTROL = "control"
 COPIED = ("uav_ident_ros", "test", "benchmarks", "scripts", "config", "pyproject.toml")
 
 TESTS: dict[str, tuple[str, ...]] = {
@@ -48,12 +51,17 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "settings": ("test_settings.py", "test_injected.py"),
     "identifier": ("test_model.py", "test_estimators.py", "test_resume.py"),
+    "control.controller": ("test_laws.py",),
+    "control.sideslip": ("test_laws.py",),
+    "control.effectiveness": ("test_choice.py",),
 }
-"""Quick tests of a module in test/identification, if more or others than test_MODULE.py."""
+"""Quick tests of a module in test/identification or test/control, if not just test_MODULE.py."""
 
 GIVEN = {
     "units": {"GRAVITY", "NS", "SECOND_NS"},
-    "what a number or a stamp can hold": {"LATEST_STAMP", "NO_TICK", "NEGLIGIBLE", "POWERLESS"},
+    "what a number or a stamp can hold": {
+        "LATEST_STAMP", "LEAST_RESIDUAL", "NO_TICK", "NEGLIGIBLE", "POWERLESS", "UNKNOWN",
+    },
     "rounding": {"ROUNDING"},
     "mathematics": {
         "DOUBLET_PEAK", "EULER_LIMIT", "EXTRA", "FAILED_PREDICTION", "FEWEST_BLOCKS",
@@ -61,7 +69,8 @@ GIVEN = {
     },
     "rigid bodies": {"PRODUCT_SIGMA"},
     "the definition of a wrong derivative, off by half": {"OTHER_EFFECTS"},
-    "shapes by their names": {"AXES", "PULSES"},
+    "shapes by their names": {"AXES", "PULSES", "SHAPES"},
+    "a unique solution, whatever their size": {"REST"},
     "memory, not results": {"BLOCK"},
     "the definition of the score": {
         "HORIZONS", "INPUT_TIMEOUT", "LARGEST_RATE", "LARGEST_STEP_NS", "LAST_PART", "MAX_GAP",
@@ -75,9 +84,15 @@ LONGEST = 900.0
 """Time limit of the tests, s: a change that makes them hang counts as detected."""
 
 
+def folder_of(module: str) -> Path:
+    """Return the folder of a module in the package: the core's, or that of `CONTROL`."""
+    return CORE.with_name(CONTROL) if module.startswith(f"{CONTROL}.") else CORE
+
+
 def path_of(module: str) -> Path:
-    """Return the file of a module of the core."""
-    return CORE / Path(*module.split(".")).with_suffix(".py")
+    """Return the file of a module."""
+    name = module.removeprefix(f"{CONTROL}.")
+    return folder_of(module) / Path(*name.split(".")).with_suffix(".py")
 
 
 def constants(module: str) -> Iterator[str]:
@@ -135,7 +150,7 @@ def noticing(folder: Path, tests: Sequence[str]) -> str:
         )
     except subprocess.TimeoutExpired:
         return f"no end in {LONGEST:g} s"
-    failed = re.search(r"^(?:FAILED|ERROR) test/identification/(.+?)(?: - |$)", done.stdout, re.M)
+    failed = re.search(r"^(?:FAILED|ERROR) test/\w+/(.+?)(?: - |$)", done.stdout, re.M)
     if failed:
         return failed[1]
     return "" if done.returncode == 0 else f"pytest ended with status {done.returncode}"
@@ -144,8 +159,8 @@ def noticing(folder: Path, tests: Sequence[str]) -> str:
 def tests_of(module: str) -> tuple[str, ...]:
     """Return the quick tests of a module, possibly none."""
     name = module.rpartition(".")[2]
-    names = TESTS.get(name, (f"test_{name}.py",))
-    found = [Path("test") / "identification" / test for test in names]
+    names = TESTS.get(module, TESTS.get(name, (f"test_{name}.py",)))
+    found = [Path("test") / folder_of(module).name / test for test in names]
     return tuple(str(test) for test in found if (ROOT / test).exists())
 
 
@@ -155,26 +170,34 @@ def modules_of_the_core() -> list[str]:
     return [".".join(p.with_suffix("").parts) for p in every]
 
 
+def modules_of_control() -> list[str]:
+    """Return the names of all modules of rate control."""
+    return [f"{CONTROL}.{p.stem}" for p in sorted((ROOT / CORE.with_name(CONTROL)).glob("*.py"))]
+
+
 def stale() -> list[str]:
-    """Return the names in `TESTS` and `GIVEN` that the core and its tests do not have."""
-    modules = modules_of_the_core()
-    short = {module.rpartition(".")[2] for module in modules}
+    """Return the names in `TESTS` and `GIVEN` that no module and no test has."""
+    modules = modules_of_the_core() + modules_of_control()
+    short = {module.rpartition(".")[2] for module in modules} | {*modules}
     declared: set[str] = set()
     for module in modules:
         declared |= set(_declared((ROOT / path_of(module)).read_text(encoding="utf-8")))
     files = {test for tests in TESTS.values() for test in tests}
-    there = {path.name for path in (ROOT / "test" / "identification").glob("test_*.py")}
+    folders = (CORE.name, CONTROL)
+    there = {path.name for name in folders for path in (ROOT / "test" / name).glob("test_*.py")}
     return sorted({*TESTS} - short | files - there | set().union(*GIVEN.values()) - declared)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the mutations; return the exit status, 1 if one is not detected."""
     parser = bench.parser(__doc__)
-    parser.add_argument("modules", nargs="*", help="modules of the core (all)")
+    parser.add_argument("modules", nargs="*", help="modules (all of the core)")
     parser.add_argument("--constants", nargs="+", help="these alone")
     parser.add_argument("--list", action="store_true", help="list the constants, change none")
     options = parser.parse_args(arguments)
     modules = options.modules or modules_of_the_core()
+    if CONTROL in modules:
+        modules = [*(m for m in modules if m != CONTROL), *modules_of_control()]
     if gone := stale():
         print(f"TESTS and GIVEN have names that do not exist: {', '.join(gone)}; correct them")
         return 1

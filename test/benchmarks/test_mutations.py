@@ -55,6 +55,14 @@ def test_the_named_tests_exist() -> None:
     assert mutations.tests_of("plausibility")
 
 
+def test_rate_control_is_mutated_too(capsys: pytest.CaptureFixture[str]) -> None:
+    assert mutations.main(["control", "--list"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert {"control.laws.MAX_INTERVAL", "control.effectiveness.SURE"} <= {*listed}
+    for module in mutations.modules_of_control():
+        assert not {*mutations.constants(module)} or mutations.tests_of(module), module
+
+
 def test_a_name_that_is_gone_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
