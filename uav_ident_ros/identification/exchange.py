@@ -22,7 +22,6 @@ from uav_ident_ros.identification.structure import (
     MAIN_INPUTS,
     RATE_COLUMNS,
     ROWS,
-    FloatArray,
 )
 
 REGRESSORS = np.r_[RATE_COLUMNS, INPUT_COLUMNS, LAST_COLUMNS].tolist()
@@ -39,9 +38,11 @@ class ExchangedInputs:
         k = len(REGRESSORS) + 1 + len(ROWS)
         self._sums = np.zeros((k, k))  # Fading, of the products of regressors, 1 and y, times dt
         self._samples = 0.0  # Their number, fading
+        # Effect of each main input on each row, and its standard deviation, (rows, inputs)
+        self._effect, self._sigma = np.zeros((2, len(ROWS), len(MAINS)))
 
     def add(self, samples: Regression) -> None:
-        """Add samples."""
+        """Add samples, and renew the effects."""
         signals = np.ones((len(samples.y), len(self._sums)))
         there = [j for j in REGRESSORS if j < samples.f.shape[1]]
         signals[:, : len(there)] = samples.f[:, there]
@@ -50,6 +51,8 @@ class ExchangedInputs:
         keep = np.exp(-samples.time / MEMORY)
         self._sums = keep * self._sums + samples.dt * signals.T @ signals
         self._samples = keep * self._samples + len(signals)
+        if self._samples > len(self._sums):
+            self._solve()
 
     def found(self, sure: float) -> list[tuple[str, str]]:
         """Return which inputs act as which others, by name, significantly; none if all are right.
@@ -58,11 +61,10 @@ class ExchangedInputs:
         a closed exchange counts: an input without effect leaves its place to any other. The rows
         are independent evidence: together they have the significance level `sure`.
         """
-        effect, sigma = self._effects()
-        size, rows = np.abs(effect), np.arange(len(ROWS))
+        size, rows = np.abs(self._effect), np.arange(len(ROWS))
         acts = size.argmax(axis=1)
         by = size[rows, acts] - size[rows, rows]
-        spread = np.hypot(sigma[rows, acts], sigma[rows, rows])
+        spread = np.hypot(self._sigma[rows, acts], self._sigma[rows, rows])
         names = [MAIN_INPUTS[row] for row in ROWS]
         for count in range(2, len(ROWS) + 1):
             sigmas = -NormalDist().inv_cdf(NormalDist().cdf(-sure) ** (1.0 / count))
@@ -71,16 +73,14 @@ class ExchangedInputs:
                 return [(names[acts[i]], names[i]) for i in exchanged.tolist()]
         return []
 
-    def _effects(self) -> tuple[FloatArray, FloatArray]:
-        """Return the effect of each main input, and its standard deviation, (rows, inputs).
+    def _solve(self) -> None:
+        """Solve for the effects and their standard deviations.
 
         The residuals of `INDEPENDENT_TIME` count as one. Inputs that do not move have no effect.
         """
-        k, size = len(self._sums) - len(ROWS), (len(ROWS), len(MAINS))
+        k = len(self._sums) - len(ROWS)
         power = diagonal(self._sums.copy())[:k]
         time, moved = power[-1], power > 0.0
-        if self._samples <= k:
-            return np.zeros(size), np.full(size, np.inf)
         scale = np.where(moved, 1.0 / np.sqrt(np.where(moved, power, 1.0)), 0.0)
         ff, fy = self._sums[:k, :k], self._sums[:k, k:]
         inverse = np.linalg.inv(ff * np.outer(scale, scale) + ROUNDING * np.eye(k))
@@ -89,4 +89,4 @@ class ExchangedInputs:
         # Each row's mean square, by the degrees of freedom that are left
         square = np.maximum(left, TINY) / time * self._samples / (self._samples - k)
         spread = np.where(moved, diagonal(inverse) * scale**2 * INDEPENDENT_TIME, np.inf)[MAINS]
-        return solved[MAINS].T, np.sqrt(np.outer(square, spread))
+        self._effect, self._sigma = solved[MAINS].T, np.sqrt(np.outer(square, spread))
