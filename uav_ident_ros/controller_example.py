@@ -10,6 +10,7 @@ nominal coefficients.
 
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -47,8 +48,8 @@ REPORT_PERIOD = 1.0
 """Period of reports on /diagnostics, s; changes are reported immediately."""
 
 DISCOVERY_TIME, POLL_PERIOD = 30.0, 0.05
-"""In lock-step with a simulation: longest wait for the discovery of the identifier, and period of
-the check, s of wall clock."""
+"""In lock-step with a simulation: longest wait for the discovery of identifier and reference, and
+period of the check, s of wall clock."""
 
 PARAMETERS = (
     Setting("law", "str", "incremental", "", "Control law.", choices=tuple(LAWS)),
@@ -103,27 +104,26 @@ class ControllerExample(Node):
         best_effort = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._commands: Publisher | None = None
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, 50)
+        reference = self.create_subscription(
+            Vector3Stamped, "rate_reference", self._on_reference, 50
+        )
         self.create_subscription(Imu, "imu/data", self._on_imu, best_effort)
-        if coefficients is None or not value["coefficients_delay"]:
-            self._advertise()
-        else:
-            self._advertise_once_discovered(coefficients)
+        delayed = (coefficients, "coefficients_delay"), (reference, "reference_delay")
+        self._advertise_once_discovered([topic for topic, name in delayed if topic and value[name]])
 
-    def _advertise(self) -> None:
-        self._commands = self.create_publisher(JointState, "command", 50)
-
-    def _advertise_once_discovered(self, coefficients: Any) -> None:
-        """Advertise the commands once the identifier is discovered: the simulation then starts."""
+    def _advertise_once_discovered(self, subscriptions: Sequence[Any]) -> None:
+        """Advertise the commands once each has a publisher: the simulation then starts."""
         end = time.monotonic() + DISCOVERY_TIME
 
         def check() -> None:
-            if coefficients.get_publisher_count() or time.monotonic() > end:
+            missing = any(not topic.get_publisher_count() for topic in subscriptions)
+            if not missing or time.monotonic() > end:
                 self.destroy_timer(timer)
-                self._advertise()
+                self._commands = self.create_publisher(JointState, "command", 50)
 
         # a steady clock, because the node's may be the simulation's, which does not run yet
         timer = self.create_timer(POLL_PERIOD, check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        check()
 
     def _make(self, nominal: Coefficients) -> RateController:
         value = self._value
