@@ -13,7 +13,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from uav_ident_ros.identification.regression import Regression, diagonal
+from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.scales import INDEPENDENT_TIME, MEMORY, ROUNDING, TINY
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
@@ -63,6 +63,8 @@ class ExchangedInputs:
         """
         size, rows = np.abs(self._effect), np.arange(len(ROWS))
         acts = size.argmax(axis=1)
+        if acts.tolist() == rows.tolist():  # nearly always
+            return []
         by = size[rows, acts] - size[rows, rows]
         spread = np.hypot(self._sigma[rows, acts], self._sigma[rows, rows])
         names = [MAIN_INPUTS[row] for row in ROWS]
@@ -79,14 +81,14 @@ class ExchangedInputs:
         The residuals of `INDEPENDENT_TIME` count as one. Inputs that do not move have no effect.
         """
         k = len(self._sums) - len(ROWS)
-        power = diagonal(self._sums.copy())[:k]
+        power, squares = np.split(np.diagonal(self._sums), [k])
         time, moved = power[-1], power > 0.0
         scale = np.where(moved, 1.0 / np.sqrt(np.where(moved, power, 1.0)), 0.0)
         ff, fy = self._sums[:k, :k], self._sums[:k, k:]
         inverse = np.linalg.inv(ff * np.outer(scale, scale) + ROUNDING * np.eye(k))
         solved = scale[:, None] * (inverse @ (scale[:, None] * fy))
-        left = diagonal(self._sums.copy())[k:] - (solved * fy).sum(axis=0)
+        left = squares - (solved * fy).sum(axis=0)
         # Each row's mean square, by the degrees of freedom that are left
         square = np.maximum(left, TINY) / time * self._samples / (self._samples - k)
-        spread = np.where(moved, diagonal(inverse) * scale**2 * INDEPENDENT_TIME, np.inf)[MAINS]
+        spread = np.where(moved, np.diagonal(inverse) * scale**2 * INDEPENDENT_TIME, np.inf)[MAINS]
         self._effect, self._sigma = solved[MAINS].T, np.sqrt(np.outer(square, spread))
