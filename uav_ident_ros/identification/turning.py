@@ -21,6 +21,7 @@ from uav_ident_ros.identification.scales import (
     LONG_MEMORY,
     RESPONSE_TIME,
     ROUNDING,
+    TINY,
 )
 from uav_ident_ros.identification.structure import FloatArray
 
@@ -74,7 +75,7 @@ def forward_speed(times: FloatArray, rates: FloatArray, force: FloatArray) -> Sp
     left = float(np.sum((change - speed * direction) ** 2))
     # The flow angles change slowly: values `INDEPENDENT_TIME` apart are independent.
     independent = max(3.0 * (times[-1] - times[0]) / INDEPENDENT_TIME - 7.0, 1.0)
-    return SpeedFit(speed, left / independent / power, left)
+    return SpeedFit(speed, (left + TINY) / independent / power, left)
 
 
 class Turns:
