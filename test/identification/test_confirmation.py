@@ -10,7 +10,9 @@ from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, MAIN_C
 
 LAYOUT = layout(STRUCTURES["augmented"])
 DT = 0.05
-MAX_AGE = 60.0
+BLOCK = 4
+"""Samples that are added together."""
+MAX_AGE = 30.0
 ESTIMATED = np.zeros((3, 4))
 """Control derivatives, rad/s^2 per rad: aileron, elevator and rudder."""
 ESTIMATED[0, INPUTS.index("da")] = 40.0
@@ -41,20 +43,25 @@ class Flight:
         gust: float = 0.5,
     ) -> None:
         """Fly with an effect of the row's main surface of `effect` times the estimated one."""
-        actual = ESTIMATED.copy()
+        actual, count = ESTIMATED.copy(), round(seconds / DT)
         actual[row] *= effect
-        for _ in range(round(seconds / DT)):
-            self._gust = 0.9 * self._gust + gust * self._rng.normal(size=3)
-            self._u = 0.8 * self._u + 0.03 * moved * self._rng.normal(size=4)
-            self.add(self._u, actual @ self._u + self._gust, ESTIMATED @ self._u)
+        u, gusts = np.zeros((count, 4)), np.zeros((count, 3))
+        for k in range(count):
+            self._gust = gusts[k] = 0.9 * self._gust + gust * self._rng.normal(size=3)
+            self._u = u[k] = 0.8 * self._u + 0.03 * moved * self._rng.normal(size=4)
+        self.add(u, u @ actual.T + gusts, u @ ESTIMATED.T)
 
     def add(self, u: np.ndarray, measured: np.ndarray, estimated: np.ndarray) -> None:
-        """Add a sample: inputs (4,), measured and estimated angular acceleration (3,), rad/s^2."""
-        f = np.zeros((1, 15))
-        f[0, INPUT_COLUMNS] = u
-        samples = Regression.of(measured[None], f, f, DT)
-        sample = RowSamples.of(samples, (measured - estimated)[None], LAYOUT)
-        white = RowSamples(self._noise.whiten(sample.signals, DT, restarted=self.restarted), DT)
+        """Add samples: inputs (N, 4), measured and estimated acceleration (N, 3), rad/s^2."""
+        f = np.zeros((len(u), 15))
+        f[:, INPUT_COLUMNS] = u
+        for k in range(0, len(u), BLOCK):
+            own = slice(k, k + BLOCK)
+            samples = Regression.of(measured[own], f[own], f[own], DT)
+            self._add(RowSamples.of(samples, (measured - estimated)[own], LAYOUT))
+
+    def _add(self, samples: RowSamples) -> None:
+        white = RowSamples(self._noise.whiten(samples.signals, DT, restarted=self.restarted), DT)
         main = MAIN_COLUMNS - INPUT_COLUMNS.start
         effect = ESTIMATED[range(3), main][:, None] * white.f[range(3), :, LAYOUT.main]
         variance = self._noise.variance
@@ -130,14 +137,15 @@ def test_twice_the_row_is_contradicted_where_damping_balances_the_surface(
     scale: float, contradicted: bool
 ) -> None:
     """The moment is that of the last changes of the aileron alone."""
-    rng, flight = np.random.default_rng(1), Flight()
+    rng, flight, flown = np.random.default_rng(1), Flight(), []
     aileron, gust, u, damped = np.eye(4)[INPUTS.index("da")], np.zeros(3), np.zeros(4), np.zeros(4)
     for _ in range(round(60.0 / DT)):
         damped = damped + 0.5 * (u - damped)
         u = 0.98 * u + 0.01 * rng.normal() * aileron
         gust[ROLL] = 0.9 * gust[ROLL] + 0.1 * rng.normal()
         moment = ESTIMATED @ (u - damped)
-        flight.add(u, scale * moment + gust, moment)
+        flown.append((u, scale * moment + gust, moment))
+    flight.add(*map(np.array, zip(*flown, strict=True)))
     expected = "pdot/da is contradicted: twice all of pdot explains the flight better; "
     expected += "check the airspeed and the load"
     assert flight.doubts()[ROLL] == (expected if contradicted else "")
@@ -198,7 +206,7 @@ def test_answers_to_gusts_within_a_sample_contradict_no_healthy_surface() -> Non
         moved = 0.8 * moved + command
         u = np.zeros(4)
         u[main[1]] = (moved - 0.5 * new) / ESTIMATED[main]
-        flight.add(u, ESTIMATED @ u + gust, ESTIMATED @ u)
+        flight.add(u[None], (ESTIMATED @ u + gust)[None], (ESTIMATED @ u)[None])
         learned = k * DT > 10.0  # both models of the past
         assert not (learned and any("contradicted" in doubt for doubt in flight.doubts()))
     assert flight.doubts() == ["", "", ""]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flying import identified, light_errors, light_measured, stiff_autopilot
+from flying import identified, light_errors, light_measured, since, stiff_autopilot
 
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.prior import first_values, start_from
@@ -213,17 +213,17 @@ def test_possible_answers_increase_sigma_only_with_a_poor_instrument(
 def test_under_a_high_gain_autopilot_in_gusts_most_errors_are_within_two_sigma() -> None:
     """Feedback biases pdot/da by half; the errors are within two sigma most of the time."""
     within = []
-    for seed in range(1, 5):
+    for seed in (1, 2):
         _, estimates = identified(stiff_autopilot(45.0, seed))
-        within += [light_errors(e, "pdot/da")[1] < 2.0 for e in estimates[400:]]
+        within += [light_errors(e, "pdot/da")[1] < 2.0 for e in since(estimates, 20.0, 45.0)]
     assert np.mean(within) > 0.6
 
 
 def test_the_elevator_is_learned_from_an_excitation_after_feedback() -> None:
     """Feedback in other derivatives does not increase the elevator's sigma."""
     peaks = {"de": 0.06, "da": 0.06, "dr": 0.06}
-    imu = {"rate": 200.0, "gyro_noise": 0.02, "accelerometer_noise": 0.1}
-    m = light_measured(55.0, peaks, start=30.0, sensors=imu, noise_seed=1, bank=20.0)
+    imu = {"gyro_noise": 0.02, "accelerometer_noise": 0.1}
+    m = light_measured(45.0, peaks, start=20.0, sensors=imu, noise_seed=1, bank=20.0)
     _, (*_, last) = identified(m)
     assert light_errors(last, "qdot/de")[0] < 0.1
     assert last.sigma[STRUCTURE.index("qdot/de")] < 0.25 * 30.0

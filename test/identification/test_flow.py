@@ -89,9 +89,9 @@ def test_the_roll_angle_of_a_coordinated_turn_does_not_decay(bank: float, h: flo
 
 
 def test_the_attitude_is_corrected_for_a_gyro_bias() -> None:
-    _, x, force = turn(0.0, 360.0, 0.01)
+    _, x, force = turn(0.0, 360.0, 0.04)
     drift = np.array([0.02, -0.015, 0.0])
-    _, attitude = observed(observer(), x + drift, force, np.zeros((len(x) - 1, 4)), 0.01)
+    _, attitude = observed(observer(), x + drift, force, np.zeros((len(x) - 1, 4)), 0.04)
     assert np.abs(attitude[len(attitude) // 2 :]).max() < math.radians(0.5)
     assert np.abs(attitude).max() > math.radians(1.0)
 
@@ -111,7 +111,7 @@ def test_the_observer_starts_at_the_attitude_of_the_first_samples() -> None:
 
 def pushed(forward: float, seconds: float, scale: float = 1.0) -> FloatArray:
     """Roll and pitch, level and then accelerated forward, m/s^2, without an airspeed."""
-    h = 0.01
+    h = 0.02
     force = np.tile([0.0, 0.0, -GRAVITY], (round((1.0 + seconds) / h) + 1, 1))
     force[round(1.0 / h) :, 0] = forward
     force *= scale
@@ -289,9 +289,9 @@ def test_the_flow_rows_are_learned_with_a_late_accelerometer() -> None:
 def test_a_reversed_rudder_has_its_moment_and_its_side_force_reversed(seed: int) -> None:
     """The whole rdot/dr includes the effect of the rudder's own side force."""
     weak = dict.fromkeys(("de", "dr", "da"), 0.04)
-    reversed_at = (CoefficientChange(40.0, {"dr": -1.0}),)
-    imu = {"rate": 200.0, "accelerometer_noise": 0.3}
-    m = light_measured(55.0, weak, 0.0, imu, noise_seed=seed, seed=seed, changes=reversed_at)
+    reversed_at = (CoefficientChange(34.0, {"dr": -1.0}),)
+    imu = {"accelerometer_noise": 0.3}
+    m = light_measured(49.0, weak, 0.0, imu, noise_seed=seed, seed=seed, changes=reversed_at)
     shares, sigmas = light_errors(identified(m)[1][-1], "rdot/dr", "ay/dr", factor=-1.0)
     assert (shares < 0.2).all() and (sigmas < 2.0).all()
 
@@ -305,11 +305,11 @@ def rudder_alone(
     return light_measured(seconds, sensors=sensors, noise_seed=seed, **flight)
 
 
-@pytest.mark.parametrize("seed", [1, 3, 6])
+@pytest.mark.parametrize("seed", [1, 6])
 def test_with_a_resting_elevator_the_lift_bound_limits_the_angle_of_attack(seed: int) -> None:
     """Without the bound, alpha of a radian would turn the sideslip into roll."""
-    _, estimates = identified(rudder_alone(120.0, seed))
-    assert max(abs(e.flow.alpha) for e in estimates[1000:] if e.flow is not None) < 0.5
+    _, estimates = identified(rudder_alone(80.0, seed))
+    assert max(abs(e.flow.alpha) for e in estimates[500:] if e.flow is not None) < 0.5
     off, _ = light_errors(estimates[-1], "ay/beta", "rdot/r", "rdot/beta", "rdot/dr")
     assert (off < 0.4).all()
 
@@ -318,5 +318,5 @@ def test_with_a_resting_elevator_the_lift_bound_limits_the_angle_of_attack(seed:
 def test_a_force_step_of_the_rudder_does_not_bias_the_aileron(arm: tuple[float, ...]) -> None:
     """A force half a sample early would change pdot/da from 45 to 33."""
     quiet = {"gyro_noise": 1e-6, "accelerometer_noise": 1e-5, "lever_arm": arm}
-    *_, last = identified(rudder_alone(60.0, 1, quiet))[1]
+    *_, last = identified(rudder_alone(40.0, 1, quiet))[1]
     assert light_errors(last, "pdot/da")[0] < 0.05

@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable
+from copy import deepcopy
 from functools import cache
 from typing import Any
 
@@ -38,12 +39,12 @@ def healthy() -> Estimate:
 
 @cache
 def halved() -> Measurements:
-    """Measurements of the same flight, 15 s longer, with half an elevator from 40 s."""
-    return flying.measured(60.0, changes=(CoefficientChange(40.0, {"qdot/de": 0.5}),))
+    """Measurements of the same flight, 15 s longer, with half an elevator from 34 s."""
+    return flying.measured(52.0, changes=(CoefficientChange(34.0, {"qdot/de": 0.5}),))
 
 
 def flown(
-    stream: list[flying.Message] | None = None, seconds: float = 45.0, **changes: Any
+    stream: list[flying.Message] | None = None, seconds: float = 37.0, **changes: Any
 ) -> tuple[OnlineIdentifier, list[Estimate]]:
     """Return the identifier and estimates of `seconds` of the flight, or of other messages."""
     stream = flying.messages(flying.excited()) if stream is None else stream
@@ -72,25 +73,25 @@ def test_a_control_check_on_the_ground_is_not_learned_and_its_cost_is_recorded()
     rng = np.random.default_rng(3)
 
     def stand(t: float, rates: FloatArray) -> FloatArray:
-        flies = min(max(t - 9.0, 0.0), 1.0)  # take-off within a second
+        flies = min(max(t - 4.0, 0.0), 1.0)  # take-off within a second
         return flies * rates + (1.0 - flies) * rng.normal(0.0, 0.01, 3)
 
     stream = altered(stand)
     identifier, estimates = flown(stream)
-    standing = flying.since(estimates, 1.0, 8.9)
+    standing = flying.since(estimates, 1.0, 3.9)
     assert {(e.state, e.reason) for e in standing} == {("paused", AT_REST)}
     assert not any(e.coefficients.any() for e in standing)
-    assert all(e.adapting for e in flying.since(estimates, 10.5, 45.0))
+    assert all(e.adapting for e in flying.since(estimates, 5.5, 37.0))
     assert estimates[-1].usable
     gates = identifier.supervisor.gates
     resting = sum(e.reason.startswith("at rest") for e in estimates) / len(estimates)
-    assert gates.costs()["rest"].share == pytest.approx(resting, abs=0.01) and 0.15 < resting < 0.25
+    assert gates.costs()["rest"].share == pytest.approx(resting, abs=0.01) and 0.08 < resting < 0.15
     assert gates.costs()["rest"].setting == "supervision.min_motion, min_force_motion"
     assert "channel limit" not in gates.costs()
     identifier.supervisor.adapt = False
     identifier.update(stream[-1].t_ns + 10 * 10**9)
     assert gates.costs()["adaptation"].reason == "adaptation is switched off"
-    _, ungated = flown(stream, 9.0, supervision__min_motion=0.0)
+    _, ungated = flown(stream, 4.0, supervision__min_motion=0.0)
     assert ungated[-1].coefficients.any()
 
 
@@ -110,24 +111,24 @@ def test_a_saturated_gyro_pauses_learning_and_scoring_for_a_second_more() -> Non
     before = flying.since(estimates, 19.0, 19.9)[-1]
     np.testing.assert_array_equal(paused[-1].coefficients, paused[0].coefficients)
     np.testing.assert_allclose(paused[-1].coefficients, before.coefficients, rtol=0.05, atol=0.5)
-    assert all(e.adapting for e in flying.since(estimates, 22.2, 45.0))
+    assert all(e.adapting for e in flying.since(estimates, 22.2, 37.0))
     assert estimates[-1].usable
     np.testing.assert_allclose(flying.since(estimates, 24.0, 25.0)[-1].fit, before.fit, atol=3.0)
 
 
 def test_a_stuck_gyro_is_named_and_its_samples_are_not_learned() -> None:
     def freeze(t: float, rates: FloatArray) -> FloatArray:
-        return np.array([rates[0], 0.123, rates[2]]) if 33.0 <= t < 39.0 else rates
+        return np.array([rates[0], 0.123, rates[2]]) if 25.0 <= t < 31.0 else rates
 
     stream = altered(freeze)
     _, estimates = flown(stream)
-    assert reasons_of(estimates, 33.4, 39.0) == {
+    assert reasons_of(estimates, 25.4, 31.0) == {
         "the Imu is stuck: q has not changed for 0.25 s or more"
     }
     found, right = estimates[-1].coefficients[1], healthy().coefficients[1]
     np.testing.assert_allclose(found, right, rtol=0.1, atol=0.5)
     ungated = flown(stream, supervision__stuck_time=0.0, supervision__max_residual=0.0)[1]
-    during = np.array([e.coefficients[1, 8] for e in flying.since(ungated, 33.0, 45.0)])
+    during = np.array([e.coefficients[1, 8] for e in flying.since(ungated, 25.0, 37.0)])
     assert np.abs(during / right[8] - 1.0).max() > 0.1
 
 
@@ -149,15 +150,13 @@ def rounded(
     rates[:, 1] = np.clip(rates[:, 1], -limit, limit)
     held = (still[0] <= t) & (t < still[1])
     rates[held, 1] = rates[held][:1, 1]
-    force = rng.normal(size=(len(t), 3))
-    gate, reasons, passed = SensorGate(), [], 0
-    for tick in np.arange(0.05, seconds, 0.05):
-        end = int(np.searchsorted(t, tick, side="right"))
-        samples = np.hstack([rates, force])[passed:end]
-        look = Look(float(tick), samples, np.empty((0, 4)), None, "", None, True, "", Settings())
-        reasons.append(gate.check(look))
-        passed = end
-    return reasons
+    whole = np.hstack([rates, rng.normal(size=(len(t), 3))])
+    gate, ticks, chosen = SensorGate(), np.arange(0.05, seconds, 0.05), Settings()
+    parts = np.split(whole, np.searchsorted(t, ticks, side="right"))
+    return [
+        gate.check(Look(float(tick), part, np.empty((0, 4)), None, "", None, True, "", chosen))
+        for tick, part in zip(ticks, parts, strict=False)  # the last part has no tick
+    ]
 
 
 @pytest.mark.parametrize(("rate", "step"), [(10.0, 0.002), (25.0, 0.002), (1000.0, 0.0175)])
@@ -245,13 +244,13 @@ def test_below_flying_speed_nothing_is_learned() -> None:
 
 def test_with_a_blocked_pitot_tube_no_row_is_usable() -> None:
     """The scaling would divide every control derivative by nine."""
-    m = flying.light_measured(45.0)
+    m = flying.light_measured(36.0)
     blocked = OnlineIdentifier(flying.settings(m, airspeed__type="std_msgs/msg/Float64"))
     stream = flying.messages(m)
-    cut = next(k for k, m in enumerate(stream) if m.t_ns - stream[0].t_ns >= 40_000_000_000)
+    cut = next(k for k, m in enumerate(stream) if m.t_ns - stream[0].t_ns >= 32_000_000_000)
     assert flying.run(blocked, at_speed(stream[:cut], 20.0))[-1].usable
     half = (cut + len(stream)) // 2
-    after = flying.run(blocked, at_speed(stream[cut:half], 0.0))[2:]  # two ticks were pending
+    after = flying.run(blocked, at_speed(stream[cut:half], 0.0))[1:]  # one tick was pending
     learned, scored = blocked.coefficient_set().values, blocked.running_fit.fit.copy()
     after += flying.run(blocked, at_speed(stream[half:], 0.0))
     assert not any(any(e.usable_rows) for e in after)
@@ -262,15 +261,15 @@ def test_with_a_blocked_pitot_tube_no_row_is_usable() -> None:
 
 def test_the_residual_gate_protects_the_coefficients_from_a_knock() -> None:
     def knock(t: float, rates: FloatArray) -> FloatArray:
-        shake = 6.0 * np.sin(2.0 * np.pi * 5.0 * (t - 33.0)) * np.array([1.0, -1.0, 1.0])
-        return rates + shake * (33.0 <= t < 33.4)
+        shake = 6.0 * np.sin(2.0 * np.pi * 5.0 * (t - 32.0)) * np.array([1.0, -1.0, 1.0])
+        return rates + shake * (32.0 <= t < 32.4)
 
     gated, ungated = (
         flown(altered(knock), supervision__max_residual=ratio)[1] for ratio in (6.0, 0.0)
     )
-    reasons = reasons_of(gated, 33.25, 33.4)
+    reasons = reasons_of(gated, 32.25, 32.4)
     assert {reason.split(";")[0] for reason in reasons} == {"residual far outside its usual size"}
-    assert flying.since(gated, 37.0, 38.0)[-1].adapting
+    assert flying.since(gated, 36.0, 37.0)[-1].adapting
     moved, moved_ungated = (
         np.abs(estimates[-1].coefficients - healthy().coefficients).max()
         for estimates in (gated, ungated)
@@ -282,8 +281,8 @@ def test_a_halved_elevator_is_named_and_unusable_until_it_alone_is_relearned() -
     identifier, estimates = flying.identified(halved(), structure=STRUCTURE)
     (change,) = identifier.supervisor.changed
     detected = change.t - estimates[0].t_ns * 1e-9
-    assert (change.name, 40.0 < detected < 47.0) == ("qdot/de", True)
-    before, last = flying.since(estimates, 35.0, 40.0)[-1], estimates[-1]
+    assert (change.name, 34.0 < detected < 41.0) == ("qdot/de", True)
+    before, last = flying.since(estimates, 29.0, 34.0)[-1], estimates[-1]
     assert before.usable
     dropped = flying.since(estimates, detected + 0.1, detected + 2.9)
     assert {(e.usable, e.reason) for e in dropped} == {
@@ -302,25 +301,25 @@ def test_a_halved_elevator_is_named_and_unusable_until_it_alone_is_relearned() -
 def test_an_elevator_halved_after_a_warm_start_is_learned_anew() -> None:
     """The prior does not hold the coefficient at its former value."""
     sure = CoefficientSet(STRUCTURE, healthy().coefficients, 0.2 * healthy().sigma)
-    identifier, (*_, last) = flying.identified(halved(), sure, structure=STRUCTURE)
+    stream = [m for m in flying.messages(halved()) if m.t_ns > halved().imu_t_ns[0] + 20e9]
+    identifier, (*_, last) = flying.identified(halved(), sure, stream, structure=STRUCTURE)
     assert [change.name for change in identifier.supervisor.changed] == ["qdot/de"]
     assert last.coefficients[1, 8] == pytest.approx(0.5 * sure.values[1, 8], rel=0.15)
 
 
 def test_a_long_storm_under_an_autopilot_does_not_change_the_coefficients() -> None:
-    segments = (Segment("multisine", duration=46.0, amplitudes=flying.AMPLITUDES, seed=2),)
+    segments = (Segment("multisine", duration=34.0, amplitudes=flying.AMPLITUDES, seed=2),)
 
     def flight(rms: float, duration: float, seed: int) -> Measurements:
         air = {"gusts": ColouredNoise(rms, 0.3), "autopilot": True, "seed": seed}
         return flying.measured(duration, segments=segments, **air)
 
-    calm = flight(0.3, 46.0, 2)
+    learned, (*_, before) = flying.identified(flight(0.3, 34.0, 2), structure=STRUCTURE)
+    assert before.usable
     for gusts in (4.0, 1.5):
-        hit, (*_, before) = flying.identified(calm, structure=STRUCTURE)
-        assert before.usable
-        stream = flying.messages(flight(gusts, 95.0, 4))
+        hit, stream = deepcopy(learned), flying.messages(flight(gusts, 75.0, 4))
         # From here on there is turbulence without excitation.
-        last = flying.run(hit, [m for m in stream if m.t_ns - stream[0].t_ns > 55e9])[-1]
+        last = flying.run(hit, [m for m in stream if m.t_ns - stream[0].t_ns > 40e9])[-1]
         moved = np.abs(last.coefficients - before.coefficients)
         assert (moved <= 2.0 * before.sigma).all(), gusts
         assert hit.supervisor.changed == []
@@ -342,10 +341,10 @@ def test_the_rows_pause_separately_for_lack_of_excitation() -> None:
 def test_a_single_sample_out_of_range_is_dropped_without_a_pause() -> None:
 
     def spoil(t: float, rates: FloatArray) -> FloatArray:
-        return np.array([34.9, *rates[1:]]) if abs(t - 35.0) < 1e-3 else rates
+        return np.array([34.9, *rates[1:]]) if abs(t - 33.0) < 1e-3 else rates
 
     identifier, estimates = flown(altered(spoil))
-    assert all(e.usable and e.adapting for e in flying.since(estimates, 34.0, 38.0))
+    assert all(e.usable and e.adapting for e in flying.since(estimates, 32.0, 36.0))
     assert identifier.intake.drops["rates"][Drop.GLITCH] == 1
     found, right = estimates[-1].coefficients, healthy().coefficients
     np.testing.assert_allclose(found, right, rtol=1e-2, atol=0.1)
@@ -356,8 +355,8 @@ def test_spikes_within_the_range_of_the_gyro_do_not_change_the_verdict() -> None
     rng = np.random.default_rng(5)
     stream = altered(lambda _, rates: rates + 10.0 * (rng.random(3) < 0.002))
     identifier, estimates = flown(stream)
-    assert all(e.usable for e in flying.since(estimates, 34.0, 45.0))
-    count = 45.0 * 200.0 * 3 * 0.002
+    assert all(e.usable for e in flying.since(estimates, 32.0, 37.0))
+    count = 37.0 * 200.0 * 3 * 0.002
     assert identifier.intake.drops["rates"][Drop.SPIKE] == pytest.approx(count, rel=0.3)
     found, right = estimates[-1].coefficients, healthy().coefficients
     np.testing.assert_allclose(found, right, rtol=5e-2, atol=0.2)
@@ -437,13 +436,13 @@ TOO_QUIET = "too quiet: no rate moves beyond the gyro's noise"
 def test_rest_is_detected_by_the_gyros_noise_and_by_the_airspeed(
     swing: float, noise: float, airspeed: float | None, expected: str
 ) -> None:
-    gate, rng = RestGate(), np.random.default_rng(1)
+    gate, rng, chosen = RestGate(), np.random.default_rng(1), Settings()
     reasons = set()
     for k in range(200):
         t = 0.05 * k
         samples = noise * rng.standard_normal((10, 6))
         samples[:, 1] += 0.5 * swing * np.sin(2.0 * np.pi * 0.3 * t)
-        look = Look(t, samples, np.zeros((0, 4)), airspeed, "", None, True, "", Settings())
+        look = Look(t, samples, np.zeros((0, 4)), airspeed, "", None, True, "", chosen)
         reason = gate.check(look)
         if t > 4.0:
             reasons.add(reason)

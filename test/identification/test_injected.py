@@ -5,7 +5,7 @@ import random
 
 import numpy as np
 import pytest
-from flying import Message, identified, light_measured, run, with_injected
+from flying import Message, identified, light_measured, run, since, with_injected
 from light_aircraft import TRUTH
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
@@ -176,7 +176,7 @@ def test_the_response_to_injected_signals_lasts_two_seconds() -> None:
     assert sum(injected_only[20:]) * 0.05 == pytest.approx(2.0, abs=0.06)
 
 
-def excited(gust: float, seed: int, start: float = 10.0) -> list[Estimate]:
+def excited(gust: float, seed: int, seconds: float, start: float = 10.0) -> list[Estimate]:
     """Estimates of the light aircraft on its autopilot, excited from `start`, s.
 
     The injected signals are published from the tenth second on.
@@ -184,22 +184,24 @@ def excited(gust: float, seed: int, start: float = 10.0) -> list[Estimate]:
     peaks = {"de": 0.08, "dr": 0.08, "da": 0.08}
     segment = Segment("multisine", start, 17.0, peaks, 10.0, (0.2, 2.0), seed=seed)
     flight = {"segments": (segment,), "bank": 20.0, "gust": gust, "delay": 0.02, "seed": seed}
-    m = light_measured(17.0, noise_seed=seed, **flight)
-    return identified(m, stream=with_injected(m, after=10.0))[1]
+    m = light_measured(seconds, noise_seed=seed, **flight)
+    stream = with_injected(m, after=10.0)
+    return identified(m, stream=stream, update_rate=20.0)[1]
 
 
 def test_an_excitation_corrects_estimates_from_feedback_within_five_seconds() -> None:
     """Feedback biases the roll damping to zero; instruments of that model leave 40 % after 5 s."""
     place = STRUCTURES["flight_dynamics"].index("pdot/da")
-    found = np.array([excited(0.8, seed)[300].coefficients[place] for seed in range(1, 7)])
+    found = np.array([excited(0.8, seed, 15.0)[-1].coefficients[place] for seed in range(1, 5)])
     assert np.sqrt(np.mean((found / TRUTH["pdot/da"] - 1.0) ** 2)) < 0.25
 
 
 def test_known_coefficients_stay_when_the_excitation_is_published_late() -> None:
     """Excited from 2 s on: no row begins anew at 10 s."""
     place = STRUCTURES["flight_dynamics"].index("qdot/de")
-    sigma = [e.sigma[place] for e in excited(0.3, 1, start=2.0)]
-    before, after = sigma[round(20 * 9.5)], max(sigma[round(20 * 10.2) : round(20 * 11.0)])
+    estimates = excited(0.3, 1, 12.0, start=2.0)
+    before = since(estimates, 9.5, 12.0)[0].sigma[place]
+    after = max(e.sigma[place] for e in since(estimates, 10.2, 11.0))
     assert before < 0.3 * abs(TRUTH["qdot/de"])
     assert after < 1.5 * before
 

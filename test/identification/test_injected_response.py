@@ -2,6 +2,7 @@
 """Delay and lag from the response to injected signals: right in gusts, unknown without one."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -101,6 +102,7 @@ def test_signals_that_were_not_injected_leave_delay_and_lag_unsure(gusts: float)
     assert by is None or not by_injection(by, by, 0.0).sure
 
 
+@cache
 def hovering(
     lag: float, gusts: float, in_use: float, published: bool = True, **changes: Any
 ) -> OnlineIdentifier:
@@ -123,12 +125,12 @@ def test_the_lag_of_motors_is_estimated_in_hover_in_gusts(in_use: float) -> None
     assert estimate.lag_sure and estimate.lag == pytest.approx(0.05, rel=0.15)
     assert estimate.total == pytest.approx(0.062, abs=0.015)
     assert estimate.lag_off(0.05) == 0.0 and estimate.lag_off(in_use)
-    assert not hovering(0.05, 0.5, in_use, published=False).delays.estimate.lag_sure
+    assert not hovering(0.05, 0.5, 0.0, published=False).delays.estimate.lag_sure
 
 
 def test_an_estimated_lag_is_used_where_the_delay_is_estimated() -> None:
     """The control derivatives are then those of the quadrotor."""
-    fixed = hovering(0.05, 0.1, 0.0)
+    fixed = hovering(0.05, 0.5, 0.0)
     assert (fixed.delay, fixed.lag) == (0.0, 0.0)
     found = hovering(0.05, 0.1, 0.0, actuators__estimate_delay=True)
     assert found.lag == pytest.approx(0.05, rel=0.15)
@@ -147,7 +149,7 @@ def test_an_estimated_lag_is_used_where_the_delay_is_estimated() -> None:
     assert (found.delay, found.lag) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize(("lag", "seconds", "usable"), [(0.0, 60.0, True), (0.07, 80.0, False)])
+@pytest.mark.parametrize(("lag", "seconds", "usable"), [(0.0, 45.0, True), (0.07, 60.0, False)])
 def test_only_a_long_unseparated_lag_makes_the_rows_unusable(
     lag: float, seconds: float, usable: bool
 ) -> None:
@@ -163,7 +165,7 @@ def test_only_a_long_unseparated_lag_makes_the_rows_unusable(
 
 def test_the_lag_in_use_is_at_most_the_sum_of_lag_and_delay() -> None:
     """A lag of 0.05 s without such a servo would bias pdot/da by two thirds."""
-    m = light_measured(60.0, bank=20.0, delay=0.02, seed=4)
+    m = light_measured(45.0, bank=20.0, delay=0.02, seed=4)
     fixed = {"actuators__time_constant": 0.05, "actuators__delay": 0.0}
     configured = fixed | {"actuators__estimate_delay": True}
     identifier, (*_, last) = identified(m, stream=with_injected(m), **configured)

@@ -83,6 +83,7 @@ def flight() -> tuple[FloatArray, FloatArray, FloatArray]:
 def identified(structure: str) -> Iterator[Estimate]:
     values = {
         "structure": structure, "imu.convention": "frd", "actuators.channels": [0, 1, 2, 3],
+        "update_rate": 10.0,
         **{f"actuators.mixing.{name}": [float(name == own) for own in ("de", "dr", "da", "dth")]
            for name in ("de", "dr", "da", "dth")},
     }  # fmt: skip
@@ -123,10 +124,10 @@ def test_the_free_prediction_includes_own_regressors() -> None:
 
 def test_own_regressors_leave_the_flow_angles_as_they_were() -> None:
     """On an aircraft without them they are zero, within three sigma."""
-    measured = light_measured(40.0)
-    identifier = OnlineIdentifier(settings(measured, structure=FLIGHT.name))
+    measured = light_measured(40.0, rate=200.0)
+    identifier = OnlineIdentifier(settings(measured, structure=FLIGHT.name, update_rate=20.0))
     last = run(identifier, messages(measured))[-1]
-    plain = OnlineIdentifier(settings(measured))
+    plain = OnlineIdentifier(settings(measured, update_rate=20.0))
     before = run(plain, messages(measured))[-1]
     where = FLIGHT.index("qdot/q|q|")
     assert abs(last.coefficients[where]) < 3.0 * last.sigma[where] < 3.0 * DRAG.sigma

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from equations import matrix
-from flying import identified, light_errors, light_measured, since
+from flying import identified, light_errors, light_measured, messages, since
 from verdict_flights import MISTAKES
 
 from uav_ident_ros.identification.delay import DelayEstimate
@@ -92,15 +92,17 @@ def test_a_wrong_setting_is_named_within_ten_seconds_and_never_usable(
     name: str, spoil: Any, values: dict[str, Any], expected_text: str
 ) -> None:
     """The wrong settings of the campaign, benchmarks/false_usable.py."""
-    m = light_measured(40.0, start=0.0)
-    _, estimates = identified(m if spoil is None else spoil(m), **values)
+    m = light_measured(40.0, start=0.0, rate=200.0)
+    spoiled = spoil(m)
+    stream = [one for one in messages(spoiled) if one.t_ns < m.imu_t_ns[0] + 33e9]
+    _, estimates = identified(spoiled, stream=stream, update_rate=20.0, **values)
     assert any(re.search(expected_text, e.reason) for e in since(estimates, 0.0, 10.0))
     assert not any(e.usable for e in estimates)
 
 
 def test_a_fault_stops_learning_but_can_be_switched_off() -> None:
-    m, wrong = light_measured(40.0, start=0.0), {"imu__convention": "frd"}
-    first, *others = since(identified(m, **wrong)[1], 10.0, 40.0)
+    m, wrong = light_measured(20.0, start=0.0), {"imu__convention": "frd"}
+    first, *others = since(identified(m, **wrong)[1], 10.0, 20.0)
     assert all(e.state == "fault" and not e.adapting for e in others)
     np.testing.assert_array_equal(first.coefficients, others[-1].coefficients)
     _, estimates = identified(m, **wrong, supervision__plausibility=False)
@@ -309,7 +311,7 @@ def test_reversed_channels_are_named_beyond_three_sigma(
 
 def test_an_imu_that_points_backwards_is_never_usable_where_signs_are_expected() -> None:
     """Gravity does not show it, and `augmented` has no airspeed to compare with the turns."""
-    measured = light_measured(45.0)
+    measured = light_measured(35.0)
     own: dict[str, Any] = {
         "structure": "augmented",
         "supervision__expected_signs": ("-qdot/de", "-rdot/dr", "+pdot/da"),

@@ -16,8 +16,8 @@ from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 from uav_ident_ros.simulation.plant import SMALL_UAV
 
-RATE = 200.0
-STEPS = 2
+RATE = 100.0
+STEPS = 4
 """Integration steps between two samples."""
 REFERENCE = 20.0
 START_NS = 1_700_000_000 * 10**9
@@ -57,7 +57,7 @@ def worst_linear(found: FloatArray, truth: FloatArray) -> float:
     return float(np.abs(found / np.where(linear, truth, 1.0) - 1.0)[linear].max())
 
 
-FRD = {"imu.convention": "frd", "forgetting_time": 0.0}
+FRD = {"imu.convention": "frd", "forgetting_time": 0.0, "update_rate": 10.0}
 MEASURED = {"airspeed.type": "std_msgs/msg/Float64", "airspeed.reference": REFERENCE}
 
 
@@ -91,7 +91,7 @@ def test_a_silent_airspeed_pauses_learning_and_denies_the_verdict_until_it_retur
         (e.state, e.reason, e.usable) for e in estimates if 34.1 < (e.t_ns - START_NS) * 1e-9 < 36.0
     }
     assert states == {("paused", "no airspeed has arrived in the last 2 s", False)}
-    before, after = (estimates[round(20.0 * t)] for t in (33.0, 37.0))
+    before, after = (estimates[round(10.0 * t)] for t in (33.0, 37.0))
     assert before.usable and after.usable
 
 
