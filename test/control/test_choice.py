@@ -92,19 +92,19 @@ def manoeuvre(t: float) -> FloatArray:
 def test_a_reversed_surface_is_controlled_by_its_measured_effect(surface: int) -> None:
     def effect(t: float) -> FloatArray:
         out = np.ones(4)
-        out[surface] = 1.0 if t < 5.0 else -1.0
+        out[surface] = 1.0 if t < 3.0 else -1.0
         return out
 
     axis = {0: 1, 1: 2, 2: 0}[surface]
     flying, _ = controller()
-    rates = flown(flying, effect, manoeuvre, seconds=11.0, noise=0.005)
+    rates = flown(flying, effect, manoeuvre, seconds=8.0, noise=0.005)
     assert flying.effect.sources[axis] == "measured"
     assert [s for i, s in enumerate(flying.effect.sources) if i != axis] == ["nominal"] * 2
     t = np.arange(len(rates)) * 0.01
     wanted = np.array([manoeuvre(s) for s in t])
-    assert np.abs(rates - wanted)[800:].max() < 0.06  # rad/s, as before the fault
+    assert np.abs(rates - wanted)[600:].max() < 0.06  # rad/s, as before the fault
     fixed, _ = controller(adaptive=False)
-    assert np.abs(flown(fixed, effect, manoeuvre, seconds=11.0, noise=0.005)).max() > 1.0
+    assert np.abs(flown(fixed, effect, manoeuvre, seconds=5.0, noise=0.005)).max() > 1.0
 
 
 def turns(t: float) -> FloatArray:
@@ -115,10 +115,10 @@ def turns(t: float) -> FloatArray:
 
 def test_a_halved_effect_is_measured_before_it_is_identified() -> None:
     def effect(t: float) -> FloatArray:
-        return np.array([1.0, 1.0, 1.0 if t < 5.0 else 0.5, 1.0])
+        return np.array([1.0, 1.0, 1.0 if t < 3.0 else 0.5, 1.0])
 
     flying, _ = controller()
-    flown(flying, effect, turns, seconds=9.5, noise=0.005)
+    flown(flying, effect, turns, seconds=7.5, noise=0.005)
     assert flying.effect.sources == ("measured", "nominal", "nominal")
     assert flying.effect.values[0, 2] == pytest.approx(0.5 * 29.5, rel=0.25)
 
@@ -132,10 +132,10 @@ def test_a_wrong_delay_is_estimated_and_does_not_change_the_effect(
     steps: int, speed: float
 ) -> None:
     """The configured delay is two steps. Adaptation hardly increases the error."""
-    wanted, errors = np.array([lively(0.01 * k) for k in range(1200)]), {}
+    wanted, errors = np.array([lively(0.01 * k) for k in range(1000)]), {}
     for adaptive in (False, True):
         flying, _ = controller(speed=speed, adaptive=adaptive)
-        rates = flown(flying, 1.0, lively, 12.0, noise=0.005, delay_steps=steps)
+        rates = flown(flying, 1.0, lively, 10.0, noise=0.005, delay_steps=steps)
         errors[adaptive] = np.sqrt(np.mean((rates - wanted)[600:] ** 2))
     assert errors[True] < 1.35 * errors[False]
     if steps == 8:
@@ -144,10 +144,10 @@ def test_a_wrong_delay_is_estimated_and_does_not_change_the_effect(
     assert (np.abs(flying.effect.share - 1.0) < 0.35).all()
 
 
-@pytest.mark.parametrize(("delay_setting", "true"), [(6, 2), (5, 2), (6, 6), (2, 2)])
+@pytest.mark.parametrize(("delay_setting", "true"), [(6, 2), (6, 6)])
 def test_too_long_a_delay_is_corrected_and_a_right_one_stays(delay_setting: int, true: int) -> None:
     flying, _ = controller(speed=1.5, delay_setting=delay_setting)
-    flown(flying, 1.0, lively, 12.0, noise=0.005, delay_steps=true)
+    flown(flying, 1.0, lively, 10.0, noise=0.005, delay_steps=true)
     assert flying.delay.delay == pytest.approx(0.01 * true, abs=0.011)
     assert (np.abs(flying.effect.share - 1.0) < 0.35).all()
 
@@ -162,8 +162,8 @@ def gusts(seed: int, samples: int, size: FloatArray | float) -> FloatArray:
 
 def test_gusts_and_noise_do_not_change_the_delay() -> None:
     flying, _ = controller(speed=2.3)
-    gust = gusts(5, 1200, np.array([0.6, 0.3, 0.2]))
-    flown(flying, 1.0, turns, seconds=12.0, disturbance=gust, noise=0.01)
+    gust = gusts(5, 1000, np.array([0.6, 0.3, 0.2]))
+    flown(flying, 1.0, turns, seconds=10.0, disturbance=gust, noise=0.01)
     assert flying.delay.delay == pytest.approx(0.02)
 
 
@@ -172,7 +172,7 @@ def test_gusts_do_not_change_the_measured_effect() -> None:
     flying, _ = controller()
     shares: list[float] = []
     flown(
-        flying, 1.0, turns, seconds=20.0, disturbance=gusts(3, 2000, 0.25), noise=0.005,
+        flying, 1.0, turns, seconds=12.0, disturbance=gusts(3, 1200, 0.25), noise=0.005,
         each=lambda _: shares.append(flying.effect.share[0]),
     )  # fmt: skip
     assert np.mean(np.abs(np.array(shares) - 1.0) < 0.25) > 0.9

@@ -48,9 +48,11 @@ def allocate(
         share = bounded_least_squares(rows, target, low / travel, high / travel)
         return np.clip(travel * share, low, high)
 
-    u = solved(np.clip(wanted, least, most))
+    demand = np.clip(wanted, least, most)
+    u = solved(demand)
     by_others = effect @ u - own * u[MAINS]  # cross-axis effect of the other axes' inputs
-    return solved(np.clip(wanted, least + by_others, most + by_others))
+    whole = np.clip(wanted, least + by_others, most + by_others)
+    return u if np.array_equal(whole, demand) else solved(whole)
 
 
 def authority(effect: FloatArray, limits: FloatArray) -> FloatArray:
