@@ -38,6 +38,7 @@ class EffectivenessMonitor(Node):
         subscribe(self, self.source)
         self.create_subscription(JointState, "actuators", self.on_actuators, 10)
         self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
+        self.create_timer(PERIOD, self.warn)
 
     def on_actuators(self, message: JointState) -> None:
         """Store elevator, rudder, aileron and throttle."""
@@ -65,8 +66,11 @@ class EffectivenessMonitor(Node):
             changed = away > SIGMAS * self.measured.sigma
             self.measured.begin(changed)
             self.believed = np.where(changed, self.measured.factor, self.believed)
+
+    def warn(self) -> None:
+        """Log the warnings: once in a period, since the logger takes milliseconds a call."""
         for line in warnings(self.measured):
-            self.get_logger().warning(line, throttle_duration_sec=PERIOD)
+            self.get_logger().warning(line)
 
 
 def warnings(measured: Effectiveness) -> list[str]:
