@@ -35,7 +35,7 @@ def cessna() -> Flight:
 
 @pytest.mark.parametrize("name", airframe_names())
 def test_the_true_derivatives_predict_the_accelerations_of_every_aircraft(name: str) -> None:
-    flight = spec_of(name).fly()
+    flight = spec_of(name, rate=200.0).fly()
     truth = linearise_cruise(name).derivatives
     matrix = np.array(
         [
@@ -58,8 +58,8 @@ def test_the_true_derivatives_predict_the_accelerations_of_every_aircraft(name: 
 
 def test_a_flight_at_another_speed_has_the_derivatives_of_that_speed() -> None:
     slow, usual = (
-        spec_of("ultra_stick_25e", 6.0, speed=15.0).fly(),
-        spec_of("ultra_stick_25e", 6.0).fly(),
+        spec_of("ultra_stick_25e", 6.0, speed=15.0, rate=200.0).fly(),
+        spec_of("ultra_stick_25e", 6.0, rate=200.0).fly(),
     )
     assert slow.airspeed.mean() == pytest.approx(15.0, rel=0.02)
     ratio = slow.local_truth["pdot/da"] / usual.local_truth["pdot/da"]
@@ -89,13 +89,13 @@ def test_specific_force_is_at_the_centre_of_gravity(cessna: Flight) -> None:
 
 
 def test_banked_flight_turns_to_both_sides() -> None:
-    flight = AircraftFlight((), 40.0, aircraft="c172p", bank=25.0).fly()
+    flight = AircraftFlight((), 40.0, 200.0, aircraft="c172p", bank=25.0).fly()
     roll = np.degrees(flight.extra["roll"])
     assert 20.0 < roll.max() < 30.0 and -30.0 < roll.min() < -20.0
 
 
 def test_turbulence_is_seeded() -> None:
-    spec = AircraftFlight((), 5.0, aircraft="c172p", turbulence=3, seed=4)
+    spec = AircraftFlight((), 5.0, 200.0, aircraft="c172p", turbulence=3, seed=4)
     first, again = spec.fly(), spec.fly()
     other = dataclasses.replace(spec, seed=5).fly()
     calm = dataclasses.replace(spec, turbulence=0).fly()

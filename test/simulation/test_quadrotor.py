@@ -44,11 +44,11 @@ def test_the_control_derivatives_follow_from_the_physics(name: str, of: int) -> 
 @pytest.fixture(scope="module")
 def flight() -> Flight:
     segments = (Segment("multisine", start=2.0, amplitudes=AMPLITUDES, band=(0.2, 4.0)),)
-    return QuadrotorFlight(segments, 25.0, delay=0.012).fly()
+    return QuadrotorFlight(segments, 25.0, 500.0, delay=0.012).fly()
 
 
 def test_the_true_derivatives_are_identified_in_hover(flight: Flight) -> None:
-    sensors = Sensors(rate=200.0, gyro_noise=0.01, accelerometer_noise=0.1)
+    sensors = Sensors(rate=250.0, gyro_noise=0.01, accelerometer_noise=0.1)
     identifier, (*_, last) = identified(measure(flight, sensors, 0))
     for name, truth in flight.local_truth.items():
         found = last.coefficients[identifier.structure.index(name)]
