@@ -338,7 +338,8 @@ def test_gyro_noise_is_separated_from_motion() -> None:
 
 def evidence_of(bag: Path, name: str, changes: dict[str, Any], seconds: float) -> Evidence:
     """Return the evidence of the start of an example bag with changed parameters."""
-    run = run_over(excerpt(bag, seconds, name), parameters(name) | changes)
+    values = parameters(name, update_rate=10.0) | changes
+    run = run_over(excerpt(bag, seconds, name), values)
     return measure(run, run.score())
 
 
@@ -380,8 +381,8 @@ def test_an_excessive_delay_and_missing_regressors_are_detected(tmp_path: Path) 
     assert e.delay_in_use - e.delay.delay == pytest.approx(0.08, abs=0.01)
     assert "wrong_delay" in {advice.name for advice in advise(e)}
 
-    e = evidence_of(tmp_path / "c172p", "c172p", {"structure": "baseline"}, seconds=15.0)
+    e = evidence_of(tmp_path / "c172p", "c172p", {"structure": "baseline"}, seconds=8.0)
     assert set(e.force_share) == {"pdot", "qdot", "rdot"}
     assert min(e.force_share.values()) > 0.5
-    plant = evidence_of(tmp_path / "plant", "multisine", {"structure": "baseline"}, seconds=15.0)
+    plant = evidence_of(tmp_path / "plant", "multisine", {"structure": "baseline"}, seconds=8.0)
     assert max(plant.force_share.values()) < 0.05

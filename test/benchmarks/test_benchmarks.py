@@ -63,7 +63,7 @@ def test_the_benchmark_scores_a_recorded_flight_as_replay_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cases, "RECORDED", tmp_path)
-    excerpt(tmp_path / "flight", 15.0, "pulses")
+    excerpt(tmp_path / "flight", 10.0, "pulses")
     values = {"estimator": "least_squares"}
     case = cases.recorded("flight")
     fits = cases.score(case, cases.identify(case, values))

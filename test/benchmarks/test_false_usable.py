@@ -54,7 +54,7 @@ def test_a_clean_flight_is_usable_without_wrong_derivatives() -> None:
 
 
 def test_a_flight_through_a_bag_gives_the_same_coefficients() -> None:
-    trial = next(t for t in verdict_flights.trials(["clean"], (1,), 0.35) if t.replayed)
+    trial = next(t for t in verdict_flights.trials(["clean"], (1,), 0.3) if t.replayed)
     replayed = false_usable.run(trial, "")
     direct = false_usable.run(replace(trial, replayed=False), "")
     for name, values in direct.last.items():  # the bag's parameter file has nine figures
