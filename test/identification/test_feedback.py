@@ -58,7 +58,7 @@ EXCITED = 0.01**2 * 8 / 2
 """Variance of an excitation of amplitude 0.01."""
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
     ("gain", "excitation", "share", "tolerance"),
     [
@@ -115,7 +115,7 @@ def test_slow_gusts_leave_throttle_steps_without_a_share() -> None:
     assert not any(detect_feedback(*in_turns(seed, throttle)).share[3] for seed in SLOW_FLIGHTS)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_an_effective_input_with_excitation_and_answers_has_a_share(seed: int) -> None:
     samples, gusts = fly(0.02, 0.01, seed=seed)
     strong, weak = (detect_feedback(samples, gusts, effect).share[2] for effect in (200.0, 0.0))
