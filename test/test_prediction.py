@@ -256,7 +256,7 @@ def with_errors(record: Record, every: int = 4) -> Record:
 
 
 @pytest.mark.parametrize(
-    ("structure", "duration", "every"), [(AUGMENTED, 3.0, 4), (FLIGHT, 5.2, 24)]
+    ("structure", "duration", "every"), [(AUGMENTED, 3.0, 8), (FLIGHT, 5.2, 24)]
 )
 def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
     structure: Structure, duration: float, every: int
