@@ -71,7 +71,7 @@ def write_whole(folder: Path) -> dict[str, Path]:
     for compression in CompressionType:
         name = f"mcap {compression.name.lower()}"
         path = folder / f"{name}.mcap"
-        files[name] = rewritten(path, compression=compression, seconds=SECONDS, chunk=50_000)
+        files[name] = rewritten(path, compression=compression, seconds=SECONDS)
     return files
 
 

@@ -75,6 +75,19 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
+def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the parameter file of a flight that starts from `rough_start`."""
+    from excerpts import parameter_file, parameters, rough_start
+
+    from uav_ident_ros.files.coefficients_file import save_coefficients
+
+    folder = tmp_path_factory.mktemp("warm")
+    save_coefficients(rough_start(), folder / "start.yaml")
+    values = parameters(initial_coefficients_file=str(folder / "start.yaml"))
+    return parameter_file(folder / "identifier.yaml", **values)
+
+
+@pytest.fixture(scope="session")
 def replayed_example(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a replay, with report, of the JSBSim aircraft's committed bag.
 

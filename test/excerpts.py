@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -14,6 +15,8 @@ from repository import ROOT
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.bags.writing import BagWriter, jazzy_types
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.estimate import CoefficientSet
+from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline import main
 
 BAGS = ROOT / "bags"
@@ -101,6 +104,21 @@ def parameter_file(path: Path, **values: Any) -> Path:
     return path
 
 
+def rough_start() -> CoefficientSet:
+    """Return coefficients of the multisine flight, a tenth below the true ones.
+
+    A flight that starts from them has a verdict after three seconds, not after half a minute, and
+    still has to learn.
+    """
+    truth = yaml.safe_load((BAGS / "multisine" / "truth.yaml").read_text())["coefficients"]
+    structure = STRUCTURES[parameters()["structure"]]
+    values = np.zeros(structure.mask.shape)
+    for name, value in truth.items():
+        values[structure.index(name)] = 0.9 * value
+    sigma = np.where(structure.mask, 0.2 + 0.15 * np.abs(values), 0.0)
+    return CoefficientSet(structure.name, values, sigma)
+
+
 def replay(bag: Path, output: Path, *more: str, by: str | Path = "multisine") -> int:
     """Run `replay` with a committed bag's parameters or those of a file; return its status."""
     file = BAGS / by / "identifier.yaml" if isinstance(by, str) else by
@@ -113,8 +131,8 @@ def summary(folder: Path) -> dict[str, Any]:
 
 TYPES = {IMU: "sensor_msgs/msg/Imu", ACTUATORS: "sensor_msgs/msg/JointState"}
 
-CHUNK = 100_000
-"""Size of the chunks, bytes: about a second of the flight."""
+CHUNK = 50_000
+"""Size of the chunks, bytes: about half a second of the flight."""
 
 
 def rewritten(
@@ -123,12 +141,11 @@ def rewritten(
     compression: CompressionType = CompressionType.NONE,
     use_chunking: bool = True,
     seconds: float,
-    chunk: int = CHUNK,
 ) -> Path:
     """Write the start of a flight in a recorder's format: small chunks, with checksums."""
     with Bag(BAGS / "multisine") as bag, target.open("wb") as file:
         writer = McapWriter(
-            file, chunk_size=chunk, compression=compression, use_chunking=use_chunking
+            file, chunk_size=CHUNK, compression=compression, use_chunking=use_chunking
         )
         writer.start(profile="ros2", library="test")
         channels = {}

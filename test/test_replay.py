@@ -23,6 +23,7 @@ from excerpts import (
     parameter_file,
     parameters,
     replay,
+    rough_start,
     summary,
     written,
 )
@@ -239,7 +240,7 @@ def test_the_usable_share_is_printed_if_the_end_is_not_usable(replayed: Path) ->
 def test_printed_results(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     """The table has the fits; an unidentifiable delay has no sigma."""
     monkeypatch.chdir(tmp_path)
-    short = excerpt(tmp_path / "short", 10.0, "pulses")
+    short = excerpt(tmp_path / "short", 5.0, "pulses")
     given = parameter_file(
         tmp_path / "told.yaml", actuators__delay=0.03, actuators__estimate_delay=True
     )
@@ -257,14 +258,16 @@ def test_printed_results(tmp_path: Path, capsys: Capture, monkeypatch: pytest.Mo
 def test_parameters_beside_a_bag_are_named_if_none_are_given(
     tmp_path: Path, capsys: Capture
 ) -> None:
-    short, output = excerpt(tmp_path / "my flight", 4.0), str(tmp_path / "out")
+    short, output = excerpt(tmp_path / "my flight", 2.0, begin=4.0), str(tmp_path / "out")
     beside = parameter_file(short / "identifier.yaml", **parameters("multisine"))
     for bag in (short, next(short.glob("*.mcap"))):
         assert main([str(bag), "--output", output]) == NOT_USABLE
         assert f"{beside} was not read: give it as --params-file" in summary(Path(output))["notes"]
     beside.write_text(beside.read_text() + "    update_rate: 10.0\n    update_rate: 20.0\n")
     assert main([str(short), "--output", output, "--params-file", str(beside)]) == NOT_USABLE
-    assert summary(Path(output))["notes"] == []
+    content = summary(Path(output))
+    assert content["notes"] == []
+    assert content["doubt"] == "1 s of learning, 30 s are needed for a verdict"
     warned = capsys.readouterr().err
     assert "gives 'update_rate' more than once in section '/**': 20.0, the last" in warned
 
@@ -356,7 +359,7 @@ def test_a_contradicting_frame_is_a_fault(frame_id: str, tmp_path: Path, capsys:
 
 @pytest.mark.parametrize("jump", [500, -500])
 def test_no_window_spans_a_jump_of_the_time_base(jump: int, tmp_path: Path) -> None:
-    half_ns = START_NS + 18 * SECOND_NS
+    half_ns = START_NS + 8 * SECOND_NS
 
     def jumping(topic: str, log_ns: int, message: Any) -> list[Entry]:
         if log_ns > half_ns:
@@ -364,27 +367,27 @@ def test_no_window_spans_a_jump_of_the_time_base(jump: int, tmp_path: Path) -> N
             log_ns += max(jump, 0) * SECOND_NS
         return [(topic, log_ns, message)]
 
-    path = excerpt(tmp_path / "bag", 28.0, "multisine", jumping)
-    run = run_over(path, parameters())
+    path = excerpt(tmp_path / "bag", 11.0, "multisine", jumping)
+    run = run_over(path, parameters(), rough_start())
     assert run.era == 1
-    # the last 40 % begin 1.2 s before the jump; each of both parts lacks its last second
+    # the last 40 % begin 1.4 s before the jump; each of both parts lacks its last second
     fit = run.score()["last_40_percent"]
-    assert 9 * 20 <= fit.windows <= 9.3 * 20
+    assert 2.2 * 20 <= fit.windows <= 2.5 * 20
     assert (fit.model > 80.0).all()
     assert run.score()["after_30_s"].windows == 0
     content = {"ticks": len(run.estimates), "settings": {"update_rate": 20.0}}
-    assert duration_of(content) == pytest.approx(28.0, abs=0.2)
+    assert duration_of(content) == pytest.approx(11.0, abs=0.2)
 
 
 @pytest.mark.parametrize("name", ["c172p", "multisine"])
 def test_the_score_in_pieces_equals_that_of_the_whole(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = run_over(excerpt(tmp_path / "bag", 7.0, name), parameters(name))
+    run = run_over(excerpt(tmp_path / "bag", 5.0, name), parameters(name))
     index = run.structure.free[-1]
     assert run.estimates.history(index)[1].tolist() == [e.sigma[index] for e in run.estimates]
     whole = run.score()
-    monkeypatch.setattr("uav_ident_ros.offline.run.PIECE", 61)
+    monkeypatch.setattr("uav_ident_ros.offline.run.PIECE", 21)
     for selection, fit in run.score().items():
         np.testing.assert_allclose(fit.free, whole[selection].free, rtol=1e-9)
         np.testing.assert_allclose(fit.measured_force, whole[selection].measured_force, rtol=1e-9)
@@ -518,7 +521,7 @@ def test_the_estimated_delay_is_used_and_scored(tmp_path: Path) -> None:
             early = message.header.stamp.sec * SECOND_NS + message.header.stamp.nanosec - 60_000_000
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(early, SECOND_NS)
 
-    bag = excerpt(tmp_path / "bag", 45.0, "multisine", delayed)
+    bag = excerpt(tmp_path / "bag", 41.0, "multisine", delayed)
     run = run_over(bag, parameters(actuators__estimate_delay=True))
     assert run.identifier.delay == pytest.approx(0.06, abs=0.015)
     fit = run.score()["last_40_percent"]

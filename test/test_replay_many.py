@@ -34,9 +34,9 @@ from uav_ident_ros.offline.run import Bar
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Create a folder of flights, a short one, a broken one, results and other files."""
     folder = tmp_path_factory.mktemp("logs")
-    excerpt(folder / "monday" / "flight", 34.0)
-    excerpt(folder / "tuesday" / "flight", 3.0)
-    excerpt(folder / "tuesday" / "later", 4.0, begin=5.0)
+    excerpt(folder / "monday" / "flight", 4.0)
+    excerpt(folder / "tuesday" / "flight", 1.0)
+    excerpt(folder / "tuesday" / "later", 2.0, begin=5.0)
     (folder / "broken.mcap").write_bytes(b"not a bag")
     (folder / "notes.txt").write_text("hello")
     (folder / ".trash").mkdir()
@@ -75,15 +75,15 @@ def test_every_bag_has_a_unique_output_name() -> None:
 
 
 @pytest.fixture(scope="module")
-def replayed(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+def replayed(logs: Path, warm: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """Return the output folder of a replay of all, and the finished process."""
     output = tmp_path_factory.mktemp("output")
-    command = arguments(logs, output, "--jobs", "2")
+    command = arguments(logs, warm, output, "--jobs", "2")
     return output, python("-m", "uav_ident_ros", "replay", *command)
 
 
-def arguments(logs: Path, output: Path, *more: str) -> list[str]:
-    return [str(logs), "--params-file", str(PARAMETERS), "--output", str(output), *more]
+def arguments(logs: Path, file: Path, output: Path, *more: str) -> list[str]:
+    return [str(logs), "--params-file", str(file), "--output", str(output), *more]
 
 
 def test_a_bad_bag_does_not_stop_the_others(replayed: tuple[Path, Any]) -> None:
@@ -100,16 +100,16 @@ def test_a_bad_bag_does_not_stop_the_others(replayed: tuple[Path, Any]) -> None:
     )
     rows = {line.split()[0]: line for line in done.stdout.splitlines() if line}
     assert rows["monday_flight"].endswith("  usable")
-    assert "  not usable: 0 s of learning, 30 s are needed for a verdict" in rows["tuesday_flight"]
+    assert "  not usable: at rest: no rate moves" in rows["tuesday_flight"]
     assert "  no result: bag " in rows["broken"]
-    assert "4 bags: 1 usable, 2 not usable, 1 no result" in done.stdout
+    assert "4 bags: 2 usable, 1 not usable, 1 no result" in done.stdout
     assert f"\nwritten to {output}{os.sep}; table: {output / 'flights.csv'}" in done.stdout
 
 
 def test_parallel_replays_equal_single_ones(
-    logs: Path, replayed: tuple[Path, Any], tmp_path: Path
+    logs: Path, warm: Path, replayed: tuple[Path, Any], tmp_path: Path
 ) -> None:
-    assert replay(logs / "monday" / "flight", tmp_path / "alone") == USABLE
+    assert replay(logs / "monday" / "flight", tmp_path / "alone", by=warm) == USABLE
     for name in ("coefficients.yaml", "estimates/estimates.mcap"):
         together = replayed[0] / "monday_flight" / name
         assert together.read_bytes() == (tmp_path / "alone" / name).read_bytes()
@@ -229,10 +229,10 @@ def test_the_table_has_a_row_for_each_flight_and_coefficient(
 
 
 def test_finished_replays_are_not_repeated_unless_settings_differ(
-    logs: Path, replayed: tuple[Path, Any], tmp_path: Path, capsys: Capture
+    logs: Path, warm: Path, replayed: tuple[Path, Any], tmp_path: Path, capsys: Capture
 ) -> None:
     output = tmp_path / "out"
-    again = arguments(logs, output, "--jobs", "1")
+    again = arguments(logs, warm, output, "--jobs", "1")
     shutil.copytree(replayed[0], output)
     times = {file: file.stat().st_mtime_ns for file in output.rglob("estimates.mcap")}
     # one result file is truncated, another missing
@@ -249,7 +249,7 @@ def test_finished_replays_are_not_repeated_unless_settings_differ(
     assert contents(output) == contents(replayed[0])
     # other settings need a new replay
     other = tmp_path / "other.yaml"
-    other.write_text(PARAMETERS.read_text() + "    filter.cutoff: 20.0\n")
+    other.write_text(warm.read_text() + "    filter.cutoff: 20.0\n")
     assert main([*again, "--params-file", str(other)]) == 2
     assert "as replayed before" not in capsys.readouterr().out
     # the new result does not count as the first one
@@ -258,14 +258,14 @@ def test_finished_replays_are_not_repeated_unless_settings_differ(
 
 
 def test_a_cluster_gives_the_same_table(
-    logs: Path, replayed: tuple[Path, Any], tmp_path: Path
+    logs: Path, warm: Path, replayed: tuple[Path, Any], tmp_path: Path
 ) -> None:
     """One worker of a Dask cluster is killed: another worker repeats its flights."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
-        command = arguments(logs, tmp_path, "--scheduler", cluster.scheduler_address)
+        command = arguments(logs, warm, tmp_path, "--scheduler", cluster.scheduler_address)
         process = subprocess.Popen(
             [sys.executable, "-m", "uav_ident_ros", "replay", *command], cwd=ROOT
         )
@@ -287,11 +287,13 @@ def test_a_cluster_gives_the_same_table(
 # --- many configurations -----------------------------------------------------------------------
 
 
-def test_configurations_are_ranked_on_one_bag(logs: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_configurations_are_ranked_on_one_bag(
+    logs: Path, warm: Path, tmp_path: Path, capsys: Capture
+) -> None:
     good = parameter_file(tmp_path / "good.yaml", estimator="least_squares")
     late = parameter_file(tmp_path / "late.yaml", actuators__delay=0.15)
     compared = ("--compare", str(late), str(good))
-    assert replay(logs / "monday" / "flight", tmp_path / "out", *compared) == USABLE
+    assert replay(logs / "monday" / "flight", tmp_path / "out", *compared, by=warm) == USABLE
     printed = capsys.readouterr().out
     assert printed.startswith("flight: 2 configurations, by their 1-second prediction fit")
     first, second, holding = (line for line in printed.splitlines() if re.match(r" +[12h]", line))
@@ -387,7 +389,7 @@ def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) ->
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_bag_and_many_have_one_progress_bar(count: int, tmp_path: Path) -> None:
-    bags = [str(excerpt(tmp_path / "bag", 8.0))] * count
+    bags = [str(excerpt(tmp_path / "bag", 4.0))] * count
     output = ["--output", str(tmp_path / "out")]
     command = [sys.executable, "-m", "uav_ident_ros", "replay", *bags, *output]
     nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}

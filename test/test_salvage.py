@@ -17,7 +17,7 @@ from uav_ident_ros.bags.salvage import SalvageReader
 from uav_ident_ros.bags.writing import BagWriter, plain, qos
 from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE
 
-SECONDS, MESSAGES = 12, 12 * 250 + 2
+SECONDS, MESSAGES = 6, 6 * 250 + 2
 COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]
 
 
@@ -45,12 +45,6 @@ def flight(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     """Return an undamaged file of many chunks."""
     path = tmp_path_factory.mktemp("flight") / "flight.mcap"
     return excerpts.rewritten(path, compression=request.param, seconds=SECONDS)
-
-
-@pytest.fixture(scope="module")
-def long_flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return an undamaged file of a flight of sufficient length for a verdict."""
-    return excerpts.rewritten(tmp_path_factory.mktemp("long") / "flight.mcap", seconds=40.0)
 
 
 @pytest.fixture
@@ -233,27 +227,30 @@ def test_only_chunks_that_cannot_be_read(tmp_path: Path) -> None:
 # --- replay ------------------------------------------------------------------------------------
 
 
-def replayed(bag: Path, output: Path, *options: str) -> tuple[int, dict[str, Any]]:
-    status = excerpts.replay(bag, output, *options)
+def replayed(
+    bag: Path, output: Path, *options: str, by: str | Path = "multisine"
+) -> tuple[int, dict[str, Any]]:
+    status = excerpts.replay(bag, output, *options, by=by)
     return status, excerpts.summary(output) if status != NO_RESULT else {}
 
 
 @pytest.mark.parametrize("hole", [True, False])
 def test_replay_of_a_damaged_bag_notes_the_damage_and_is_usable(
-    hole: bool, long_flight: Path, tmp_path: Path, capsys: Capture
+    hole: bool, warm: Path, tmp_path: Path, capsys: Capture
 ) -> None:
-    damaged = tmp_path / "flight.mcap"
-    damaged.write_bytes(long_flight.read_bytes()[: None if hole else -200_000])
+    damaged = excerpts.rewritten(tmp_path / "flight.mcap", seconds=12.0)
     if hole:
-        position, length = chunk_places(long_flight)[8]
+        position, length = chunk_places(damaged)[6]
         spoil(damaged, position + length // 2)
-    status, summary = replayed(damaged, tmp_path / "out")
+    else:
+        damaged.write_bytes(damaged.read_bytes()[:-200_000])
+    status, summary = replayed(damaged, tmp_path / "out", by=warm)
     assert status == USABLE
     (note,) = summary["notes"]
     words = "is damaged: 1 of " if hole else "is cut off at its end; "
     assert note.startswith(f"'flight.mcap' {words}")
     assert f"note: {note[:60]}" in capsys.readouterr().out
-    assert summary["ticks"] > 450
+    assert summary["ticks"] > 150
     assert summary["judged_ns"] == summary["last_tick_ns"]
     assert summary["coefficients"]["pdot/da"]["value"] == pytest.approx(60.0, rel=0.05)
 
@@ -269,20 +266,20 @@ def test_damage_is_printed_if_there_is_no_result(
     assert "has no topic '/gyro'" in second
 
 
-def test_actuators_shorter_than_the_imu_are_noted(tmp_path: Path) -> None:
+def test_actuators_shorter_than_the_imu_are_noted(warm: Path, tmp_path: Path) -> None:
     def some(topic: str, at: int, message: Any) -> list[excerpts.Entry]:
-        there = 5.0 <= (at - excerpts.START_NS) * 1e-9 <= 39.0
+        there = 2.0 <= (at - excerpts.START_NS) * 1e-9 <= 9.0
         return [(topic, at, message)] if topic == excerpts.IMU or there else []
 
-    status, summary = replayed(
-        excerpts.excerpt(tmp_path / "bag", 43.0, change=some), tmp_path / "out"
-    )
+    bag = excerpts.excerpt(tmp_path / "bag", 12.0, change=some)
+    status, summary = replayed(bag, tmp_path / "out", by=warm)
     assert status == USABLE
     assert summary["notes"] == [
-        "the actuators start 5.0 s after the Imu: nothing is learned before",
-        "the actuators stop 4.0 s before the Imu: nothing is learned after",
+        "the actuators start 2.0 s after the Imu: nothing is learned before",
+        "the actuators stop 3.0 s before the Imu: nothing is learned after",
     ]
-    assert summary["prediction_fit"]["after_30_s"]["windows"] > 150
+    # those that start after 7.2 s and end before 9.5 s: the last command holds for the timeout
+    assert summary["prediction_fit"]["last_40_percent"]["windows"] == pytest.approx(26, abs=2)
 
 
 @pytest.mark.parametrize(
@@ -295,35 +292,33 @@ def test_actuators_shorter_than_the_imu_are_noted(tmp_path: Path) -> None:
 )
 def test_the_verdict_of_a_flight_holds_after_its_landing(
     topic: str, msgtype: str, values: tuple[float, float], reason: str, within: float,
-    tmp_path: Path, capsys: Capture,
+    warm: Path, tmp_path: Path, capsys: Capture,
 ) -> None:  # fmt: skip
-    landing_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
+    landing_ns = excerpts.START_NS + 8 * excerpts.SECOND_NS
 
     def landed(name: str, at: int, message: Any) -> list[excerpts.Entry]:
         return [(name, at, message), (f"/{topic}", at, plain(msgtype, values[at >= landing_ns]))]
 
-    params = excerpts.parameter_file(
-        tmp_path / "params.yaml", **excerpts.parameters(**{f"{topic}.type": msgtype})
-    )
-    bag_path, output = excerpts.excerpt(tmp_path / "bag", 39.0, change=landed), tmp_path / "out"
-    assert excerpts.replay(bag_path, output, by=params) == USABLE
-    summary = excerpts.summary(output)
+    also = excerpts.parameter_file(tmp_path / "params.yaml", **{f"{topic}.type": msgtype})
+    bag = excerpts.excerpt(tmp_path / "bag", 11.0, change=landed)
+    status, summary = replayed(bag, tmp_path / "out", "--params-file", str(also), by=warm)
+    assert status == USABLE
     assert summary["state"] == "paused" and summary["reason"].startswith(reason)
     assert summary["judged_ns"] == pytest.approx(landing_ns, abs=within * excerpts.SECOND_NS)
     flown = (summary["judged_ns"] - summary["first_tick_ns"]) * 1e-9
     assert f"as of {flown:.1f} s: nothing was learned after" in capsys.readouterr().out
 
 
-def test_a_fault_at_the_end_determines_the_verdict(tmp_path: Path) -> None:
-    end_ns = excerpts.START_NS + 36 * excerpts.SECOND_NS
+def test_a_fault_at_the_end_determines_the_verdict(warm: Path, tmp_path: Path) -> None:
+    end_ns = excerpts.START_NS + 6 * excerpts.SECOND_NS
 
     def in_degrees(topic: str, at: int, message: Any) -> None:
         if topic == excerpts.IMU and at > end_ns:
             rate = message.angular_velocity
             rate.x, rate.y, rate.z = (math.degrees(value) for value in (rate.x, rate.y, rate.z))
 
-    bag_path, output = excerpts.excerpt(tmp_path / "bag", 44.0, change=in_degrees), tmp_path / "out"
-    status, summary = replayed(bag_path, output)
+    bag = excerpts.excerpt(tmp_path / "bag", 14.0, change=in_degrees)
+    status, summary = replayed(bag, tmp_path / "out", by=warm)
     assert (status, summary["state"]) == (NOT_USABLE, "fault")
     assert summary["judged_ns"] == summary["last_tick_ns"]
     assert "deg" in summary["doubt"]
@@ -373,7 +368,7 @@ def test_two_imus_on_one_topic_are_noted(tmp_path: Path) -> None:
 
 def test_messages_that_cannot_be_decoded_are_counted(tmp_path: Path) -> None:
     """The first message of each topic is empty; some others are truncated."""
-    whole, _ = messages(excerpts.excerpt(tmp_path / "whole", 5.0))
+    whole, _ = messages(excerpts.excerpt(tmp_path / "whole", 3.0))
     spoiled = [(topic, whole[0][1], b"") for topic in excerpts.TYPES]
     for count, (topic, log_ns, data) in enumerate(whole):
         spoiled.append((topic, log_ns, data[:30] if count % 100 == 7 else data))
@@ -381,8 +376,8 @@ def test_messages_that_cannot_be_decoded_are_counted(tmp_path: Path) -> None:
     _, summary = replayed(bag, tmp_path / "out")
     dropped = [summary["inputs"][s]["dropped"]["not decodable"] for s in ("rates", "actuators")]
     assert min(dropped) >= 1
-    assert sum(dropped) == 13 + 2
-    assert summary["ticks"] > 90
+    assert sum(dropped) == 8 + 2
+    assert summary["ticks"] > 50
 
 
 def test_a_path_that_is_no_file_or_folder_is_refused(tmp_path: Path, capsys: Capture) -> None:
