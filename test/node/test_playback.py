@@ -29,11 +29,9 @@ from uav_ident_ros.offline.ticks import Ticks
 from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess
 
-ON_TIME = 2e-3
-"""Largest rms lag of the player, s of the recording: arrival stamps have this error."""
-
 SPEEDS = (1.0, 0.3, 0.1)
-"""Multiples of real time: at lower speed a busy machine lags less in the recording's time."""
+"""Multiples of real time, one after the other: a busy machine stamps late, by less of the
+recording's time at a lower speed."""
 
 
 @pytest.fixture(scope="module")
@@ -149,28 +147,29 @@ def test_unstamped_actuators_in_real_time_cost_less_than_a_point(fly: Fly, tmp_p
     A machine too busy for real time plays slower: /clock is the node's only time source.
     """
     flight = recording("pulses", 8.0)
+    values = load_parameters(flight.parameter_file, "identifier")
+    run = run_over(excerpt(tmp_path / "flight", 8.0, "pulses"), values)
+    offline, estimates = run.score()["last_40_percent"].model, list(run.estimates)
     _, player = fly(flight, sim_time=True)
+    costs = []
     for speed in SPEEDS:
         player.outputs.clear()
         # a restart of the recording: the node starts cold
-        late = player.play(flight.messages, speed=speed, in_step=True)
-        player.spin_for(0.5)
-        if speed * late < ON_TIME:
-            break
-    ticks = [header_ns(m) for m in player.outputs.named]
-    assert len(ticks) == len(player.outputs.coefficients)
-    live = dict(zip(ticks, (m.data for m in player.outputs.coefficients), strict=True))
-    values = load_parameters(flight.parameter_file, "identifier")
-    run = run_over(excerpt(tmp_path / "flight", 8.0, "pulses"), values)
-    offline = run.score()["last_40_percent"].model
-    missing = [e.t_ns for e in run.estimates if e.t_ns not in live]
-    assert not missing
-    shape = run.structure.mask.shape
-    run.estimates = Ticks(
-        run.structure,
-        [replace(e, coefficients=np.array(live[e.t_ns]).reshape(shape)) for e in run.estimates],
-    )
-    assert np.abs(run.score()["last_40_percent"].model - offline).max() < 1.0
+        player.play(flight.messages, speed=speed, in_step=True)
+        outputs = player.outputs
+        assert len(outputs.named) == len(outputs.coefficients)
+        live = {
+            header_ns(named): np.array(dense.data).reshape(run.structure.mask.shape)
+            for named, dense in zip(outputs.named, outputs.coefficients, strict=True)
+        }
+        assert live.keys() >= {e.t_ns for e in estimates}
+        run.estimates = Ticks(
+            run.structure, [replace(e, coefficients=live[e.t_ns]) for e in estimates]
+        )
+        costs.append(np.abs(run.score()["last_40_percent"].model - offline).max())
+        if costs[-1] < 1.0:
+            return
+    pytest.fail(f"the fit differs by {costs} points")
 
 
 def test_playback_without_clock_is_a_fault_that_names_the_option(fly: Fly) -> None:
