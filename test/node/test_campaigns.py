@@ -13,7 +13,7 @@ from programs import python
 MESSAGES = 300
 """Number of hostile messages on every input; the campaign sends 100,000."""
 
-SHORT = {"LEARNING_TIME": 12.0, "FLOOD_TIME": 0.1, "SILENCE": 0.1, "LARGEST_LOSS": 5.0}
+SHORT = {"LEARNING_TIME": 7.0, "FLOOD_TIME": 0.1, "SILENCE": 0.1, "LARGEST_LOSS": 5.0}
 """Shorter times than in the campaign. There a minute of flight restores the fit; here the fit
 stays slightly lower."""
 
@@ -31,7 +31,7 @@ def test_a_node_killed_while_saving_leaves_a_complete_state_file() -> None:
 def test_random_messages_and_calls_leave_the_node_running_and_its_fit_high(
     sim_time: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bag = excerpt(tmp_path / "multisine", 15.0)
+    bag = excerpt(tmp_path / "multisine", 8.0)
     shutil.copy(PARAMETERS, bag)
     for name, value in {**SHORT, "BAG": bag}.items():
         monkeypatch.setattr(faults, name, value)

@@ -21,7 +21,7 @@ PNG = b"\x89PNG"
 
 
 def test_the_demo_prints_the_monitor_view_and_the_results_of_a_replay(tmp_path: Path) -> None:
-    bag = excerpt(tmp_path / "short", 10.0)
+    bag = excerpt(tmp_path / "short", 6.0)
     shutil.copy(PARAMETERS, bag)
     options = ("--speed", "4", "--output", str(tmp_path))
     run = python("-m", "uav_ident_ros", "demo", str(bag), *options, timeout=300.0)

@@ -57,10 +57,12 @@ def start_monitor() -> Iterator[StartMonitor]:
 
 
 def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
-    fly: Fly, start_monitor: StartMonitor, tmp_path: Path
+    fly: Fly, start_monitor: StartMonitor, warm: Path, tmp_path: Path
 ) -> None:
-    flight = recording("multisine", 75.0)
-    _, player = fly(flight, sim_time=True, parameters={"supervision.min_fit": "99.5"})
+    flight = recording("multisine", 50.0)
+    start = warm.with_name("start.yaml")
+    parameters = {"supervision.min_fit": "99.5", "initial_coefficients_file": start}
+    _, player = fly(flight, sim_time=True, parameters=parameters)
     reached = flight.messages[0].log_ns
 
     def play_until(enough: Callable[[], bool]) -> None:
@@ -89,7 +91,7 @@ def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
         assert "Traceback" not in errors
         return monitor.returncode, shown
 
-    fly_on(32.0)
+    fly_on(6.0)
     status, shown = once("--timeout", "60", "--node", "/identifier")
     assert status == 1
     assert shown.startswith("/identifier  learning  not usable  tick ")
@@ -122,7 +124,7 @@ def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
     assert "Traceback" not in monitor.stderr.read()
     assert ticks() == sorted(ticks())
 
-    silent = start_monitor("--once", "--timeout", "20")
+    silent = start_monitor("--once", "--timeout", "8")
     shown, errors = silent.communicate(timeout=PATIENCE)
     assert silent.returncode == 1, shown + errors
     assert "waiting" in shown
@@ -130,8 +132,8 @@ def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
 
 
 def test_once_without_a_node_or_messages_ends_with_an_error(start_monitor: StartMonitor) -> None:
-    for arguments in ((), ("--node", "/nowhere/identifier")):
-        monitor = start_monitor("--once", "--timeout", "1", *arguments)
+    given = ((), ("--node", "/nowhere/identifier"))
+    for monitor in [start_monitor("--once", "--timeout", "1", *options) for options in given]:
         shown, errors = monitor.communicate(timeout=PATIENCE)
         assert monitor.returncode == 3
         assert shown == ""
@@ -153,6 +155,9 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
     nodes = [start_node(remappings={"__ns": f"/{name}"}) for name in ("one", "two")]
     assert all(wait_for(lambda node=node: "no message on" in node.log) for node in nodes)
     monitor = start_monitor("--once", "--timeout", "60")
+    another = start_monitor("--once", "--timeout", "5", "--node", "/too/identifier")
+    output = tmp_path / "shown"
+    start_monitor("--node", "/two/identifier", output=output)
     shown, errors = monitor.communicate(timeout=PATIENCE)
     assert monitor.returncode == 2
     assert shown == ""
@@ -161,13 +166,10 @@ def test_several_identifiers_are_listed_and_one_is_chosen(
         "  /one/identifier",
         "  /two/identifier",
     ]
-    monitor = start_monitor("--once", "--timeout", "5", "--node", "/too/identifier")
-    shown, errors = monitor.communicate(timeout=PATIENCE)
-    assert monitor.returncode == 3
+    shown, errors = another.communicate(timeout=PATIENCE)
+    assert another.returncode == 3
     found = "monitor: no message of '/too/identifier' for 5 s; running: "
     assert errors == f"{found}/one/identifier, /two/identifier\n"
-    output = tmp_path / "shown"
-    start_monitor("--node", "/two/identifier", output=output)
     assert wait_for(lambda: "no message on '/two/imu/data' yet" in output.read_text())
     assert "/two/identifier  waiting  not usable  no tick yet" in output.read_text()
 
@@ -192,7 +194,9 @@ def test_the_monitor_waits_for_a_node_and_restores_the_terminal(
     assert max(len(line) for line in drawn.splitlines()) <= 80
 
     # a terminal without cursor control gets blocks of text
-    with contextlib.closing(Terminal(["env", "TERM=dumb", *MONITOR])) as terminal:
+    with contextlib.closing(
+        Terminal(["env", "TERM=dumb", *MONITOR, "--node", "identifier"])
+    ) as terminal:
         assert terminal.read_until("no message on '/imu/data' yet")
     assert "\x1b" not in terminal.received
 

@@ -145,7 +145,7 @@ def set_all(player: Player, settings: list[Setting], values: dict[str, Any]) -> 
 
 def test_settings_without_effect_on_the_model_change_no_bit(fly: Fly, tmp_path: Path) -> None:
     """They are thresholds, the injected signal and the period of saving."""
-    flight = recording("multisine", 16.0)
+    flight = recording("multisine", 8.0)
     _, player = fly(flight)
     half = len(flight.messages) // 2
     player.play_in_step(flight.messages[:half])
@@ -159,11 +159,11 @@ def test_settings_without_effect_on_the_model_change_no_bit(fly: Fly, tmp_path: 
 
 def test_every_change_misses_no_tick_and_the_fit_recovers(fly: Fly) -> None:
     """Each setting changes slightly, one after the other; then all return to their values."""
-    flight = recording("multisine", 40.0)
+    flight = recording("multisine", 24.0)
     _, player = fly(flight)
     before = Settings.from_values(load_parameters(flight.parameter_file, "identifier")).values()
     changes = [s for s in CHANGEABLE if s.restarts or s.name in LEARNING]
-    seconds = np.cumsum([12.0, *[2.0] * len(changes), 12.0])
+    seconds = np.cumsum([8.0, *[1.0] * len(changes), 8.0])
     ends = flight.messages[0].log_ns + np.round(1e9 * seconds).astype(int)
 
     def play(part: int) -> tuple[list[int], list[dict[str, float]]]:
