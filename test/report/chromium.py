@@ -141,9 +141,8 @@ class Browser:
         return answer["result"].get("value")
 
     def screenshot(self, **clip: float) -> bytes:
-        """Return a PNG of the whole page, or of its part x, y, width, height."""
-        area = {"clip": {**clip, "scale": 1}} if clip else {}
-        answer = self.call("Page.captureScreenshot", captureBeyondViewport=True, **area)
+        """Return a PNG of a part of the window: x, y, width, height."""
+        answer = self.call("Page.captureScreenshot", clip={**clip, "scale": 1})
         return base64.b64decode(answer["data"])
 
     def pdf(self) -> bytes:

@@ -154,8 +154,8 @@ def test_zoom_and_drag_apply_to_all_charts_and_a_tooltip_has_the_value(
     # Bokeh ignores a drag after 300 ms without motion: wait for no frame in between.
     press = {"type": "mousePressed", "x": x, "y": y, "button": "left", "clickCount": 1}
     browser.call("Input.dispatchMouseEvent", **press)
-    for k in range(1, 6):
-        move(browser, "mouseMoved", x - 10.0 * k, y, button="left", buttons=1)
+    for pulled in (25.0, 50.0):
+        move(browser, "mouseMoved", x - pulled, y, button="left", buttons=1)
     move(browser, "mouseReleased", x - 50.0, y, button="left", clickCount=1)
     browser.until(f"({X_RANGE.format('rates-p')})[0] > {near['rates-p'][0]}")
     moved = x_ranges(browser)
@@ -180,6 +180,7 @@ def test_the_page_follows_the_preferred_colour_scheme(browser: Browser, report: 
             return int(sum(corner.convert("RGB").getpixel((4, 4))))
 
     open_wide(browser, report)
+    browser.value("scrollTo(0, 0)")
     assert brightness("dark") < 150 < 600 < brightness("light")
 
 
@@ -202,7 +203,6 @@ def test_print_has_few_a4_pages_with_unbroken_charts_and_all_tables(
     folded = "document.querySelector('details table').getBoundingClientRect().height"
     assert browser.value(folded) > 500.0
     assert browser.value("getComputedStyle(document.querySelector('nav')).display") == "none"
-    browser.call("Emulation.clearDeviceMetricsOverride")
     printed = browser.pdf()
     assert printed.startswith(b"%PDF-")
     assert 5 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= 14
