@@ -62,6 +62,9 @@ STREAMS = {RATES: "rates", ACTUATORS: "actuators", AIRSPEED: "airspeed", ARMED: 
 LEARNING_TIME = 60.0
 """Length of the flight before and after the disturbances, s."""
 
+PIECE_TIME = 2.0
+"""Length of the flight between two silences or jumps, s."""
+
 BURST = {False: 100, True: 2}
 """Messages on one topic between two waits for the node, by whether its time is simulated: few
 enough to lose none. With simulated time the executor answers before it has read all of them."""
@@ -313,7 +316,7 @@ class Campaign:
     def silences(self) -> None:
         """Interrupt each topic in turn, then remove and restore its publisher."""
         for topic in self.topics:
-            self.fly(2.0)
+            self.fly(PIECE_TIME)
             self.listen(SILENCE)
             self.call_something()
             publishers = self.player._publishers
@@ -321,20 +324,20 @@ class Campaign:
             self.fly(1.0, without=topic)
             publishers[topic] = self._node.create_publisher(self._types[topic], topic, 1000)
             self.player.wait_for_node()
-        self.fly(2.0)
+        self.fly(PIECE_TIME)
 
     def jumps(self) -> None:
         """Make large jumps of the message time, and of /clock, in both directions."""
         start = self.now_ns
         for seconds in (5.0, -3.0, 3600.0, -3600.0, 86400.0 * 400, -86400.0 * 400, 1.5, -1.5):
             self.now_ns = max(SECOND_NS, self.now_ns + int(seconds * 1e9))
-            self.fly(2.0)
+            self.fly(PIECE_TIME)
             self.call_something()
         for clock_ns in (0, 1, 2**31 * SECOND_NS - 1, self.now_ns, self.now_ns - SECOND_NS):
             self.player.clock.send(clock_ns)
             self.listen(0.1)
         self.now_ns = max(self.now_ns, start)
-        self.fly(2.0)
+        self.fly(PIECE_TIME)
 
     def call_something(self) -> None:
         """Call one of the services, or set random parameters."""

@@ -13,7 +13,13 @@ from programs import python
 MESSAGES = 300
 """Number of hostile messages on every input; the campaign sends 100,000."""
 
-SHORT = {"LEARNING_TIME": 7.0, "FLOOD_TIME": 0.1, "SILENCE": 0.1, "LARGEST_LOSS": 5.0}
+SHORT = {
+    "LEARNING_TIME": 7.0,
+    "PIECE_TIME": 1.0,
+    "FLOOD_TIME": 0.1,
+    "SILENCE": 0.1,
+    "LARGEST_LOSS": 5.0,
+}
 """Shorter times than in the campaign. There a minute of flight restores the fit; here the fit
 stays slightly lower."""
 

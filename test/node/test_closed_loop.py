@@ -244,7 +244,13 @@ def test_the_controller_publishes_commands_once_coefficients_are_offered(tmp_pat
         assert guest.spin_for(5.0, offered)
 
 
-def test_a_process_that_does_not_start_ends_the_flight(tmp_path: Path) -> None:
+def test_a_process_that_does_not_start_ends_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without = {
+        k: v for k, v in closed_loop.MODULES.items() if k in ("controller", "simulated_plant")
+    }
+    monkeypatch.setattr(closed_loop, "MODULES", without)
     wrong = replace(SHORT, parameters={"controller": {"law": "hope"}})
     with pytest.raises(SimulationError, match=r"controller ended: .*'hope'"):
         fly(wrong, tmp_path / "flight")

@@ -124,7 +124,7 @@ EVERY = 20
 def test_node_learns_with_an_airspeed_and_only_while_armed(
     fly: recordings.Fly, one_clock: bool, name: str
 ) -> None:
-    plain = recordings.recording("multisine", 8.0)
+    plain = recordings.recording("multisine", 6.5)
     flight = replace(plain, types={**plain.types, AIRSPEED: name, ARMED: FLAG})
     parameters = {"airspeed.type": name, "armed.type": FLAG}
     node, player = fly(flight, parameters=parameters, sim_time=one_clock)
@@ -149,12 +149,12 @@ def test_node_learns_with_an_airspeed_and_only_while_armed(
 
     player.play_in_step(recordings.part(flight, 0.0, 2.0))
     recordings.wait_for_text(player, "no message on '/airspeed' yet")
-    play(2.0, 4.0, armed=False)
+    play(2.0, 3.5, armed=False)
     assert len({tuple(m.data) for m in learned}) == 1
     recordings.wait_for_text(player, "not armed")
-    play(4.0, 6.0, armed=True)
+    play(3.5, 5.0, armed=True)
     assert learned[-1].data != learned[0].data
-    play(6.0, 8.0, armed=False)
+    play(5.0, 6.5, armed=False)
     assert learned[-1].data == learned[-20].data
     for topic in (AIRSPEED, ARMED):
         unstamped = topic == ARMED or name == NUMBER

@@ -146,9 +146,9 @@ def test_unstamped_actuators_in_real_time_cost_less_than_a_point(fly: Fly, tmp_p
 
     A machine too busy for real time plays slower: /clock is the node's only time source.
     """
-    flight = recording("pulses", 8.0)
+    flight = recording("pulses", 6.0)
     values = load_parameters(flight.parameter_file, "identifier")
-    run = run_over(excerpt(tmp_path / "flight", 8.0, "pulses"), values)
+    run = run_over(excerpt(tmp_path / "flight", 6.0, "pulses"), values)
     offline, estimates = run.score()["last_40_percent"].model, list(run.estimates)
     _, player = fly(flight, sim_time=True)
     costs = []
