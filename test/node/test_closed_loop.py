@@ -29,7 +29,13 @@ from uav_ident_ros.simulation.flight import SimulationError
 pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 FAULT = 3.5
-SHORT = Loop(duration=4.0, use_verdict=False, faults=(f"{FAULT}: aileron effect 0.5",))
+SAMPLED = {"simulated_plant": {"rate": "50.0"}}
+SHORT = Loop(
+    duration=4.0,
+    use_verdict=False,
+    faults=(f"{FAULT}: aileron effect 0.5",),
+    parameters=SAMPLED,
+)
 """A flight on identified coefficients, with a fault at the end."""
 
 TIMEOUT = 200.0
@@ -160,7 +166,7 @@ def test_flights_are_equal_on_any_machine_until_the_excitation_starts(
             running.processes[name].send_signal(signal.SIGCONT)
 
     # the coefficients in use have surely arrived: a busy machine may lag by 20 samples
-    loop = replace(SHORT, parameters={"controller": {"coefficients_delay": "0.4"}})
+    loop = replace(SHORT, parameters={**SAMPLED, "controller": {"coefficients_delay": "0.4"}})
     plain, logs = fly(loop, tmp_path / "plain")
     assert "; 0 samples without an answer" in logs["simulated_plant"]
     assert "aileron effect 0.5" in logs["simulated_plant"]
