@@ -34,13 +34,14 @@ settings.load_profile("repeatable")
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Spread the node tests over the workers, early in each share: they mostly wait.
+    """Spread the tests of nodes and of the report over the workers, early in each share.
 
-    Each worker starts with its own share of the list; pure computation remains for the end.
+    They mostly wait, or follow one another in one browser. Each worker starts with its own share of
+    the list; pure computation remains for the end.
     """
     workers = getattr(config, "workerinput", {}).get("workercount", 1)
     files = [list(own) for _, own in groupby(items, key=lambda item: item.path)]
-    waiting = [own for own in files if own[0].path.parent.name == "node"]
+    waiting = [own for own in files if own[0].path.parent.name in ("node", "report")]
     others = [item for own in files if own not in waiting for item in own]
     ordered: list[pytest.Item] = []
     for k in range(workers):
