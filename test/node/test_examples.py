@@ -91,7 +91,7 @@ def test_fleet_table_reads_the_results_of_a_replay(replayed_example: Path) -> No
 
 def test_live_plot_and_read_coefficients_follow_a_running_node(fly: Fly, tmp_path: Path) -> None:
     flight = recording("multisine", 60.0)
-    _, player = fly(flight, sim_time=True)
+    _, player = fly(flight)
     picture = tmp_path / "live.png"
     plot = subprocess.Popen(command("live_plot.py", "--save", str(picture), "--seconds", "3"))
     try:
@@ -143,11 +143,11 @@ def test_a_message_type_of_the_author_gives_the_estimates_of_an_imu(tmp_path: Pa
     twists = with_rates(flight, TWIST, twist)
     own = parameter_file(tmp_path / "own.yaml", imu__type=TWIST)
     files = ("--params-file", str(flight.parameter_file), "--params-file", str(own))
-    arguments = ("identifier", "--ros-args", *files, "-p", "use_sim_time:=true")
+    arguments = ("identifier", "--ros-args", *files)
     environment = {**os.environ, "ROS_HOME": str(tmp_path)}
     node = subprocess.Popen(command("own_message.py", *arguments), env=environment)
     try:
-        with closing(Player(twists.classes)) as player:
+        with closing(Player(twists.classes, clock=False)) as player:
             player.wait_for_node()
             player.play_in_step(twists.messages)
             found = published(player.outputs)

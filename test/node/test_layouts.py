@@ -118,7 +118,7 @@ def numbers(topic: str, path: str, value: Any) -> Iterator[tuple[str, str]]:
 def messages(fly: Fly) -> dict[str, Any]:
     """Return the node's messages for a flight, in the structure of the layouts."""
     flight = recording("c172p", 6.0)
-    _, player = fly(flight, parameters={"structure": STRUCTURE.name}, sim_time=True)
+    _, player = fly(flight, parameters={"structure": STRUCTURE.name})
     player.play_in_step(flight.messages)
     player.wait_until(
         lambda: any("delay [s]" in {v.key for v in s.values} for s in player.outputs.status[-1:]),

@@ -62,7 +62,7 @@ def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
     flight = recording("multisine", 50.0)
     start = warm.with_name("start.yaml")
     parameters = {"supervision.min_fit": "99.5", "initial_coefficients_file": start}
-    _, player = fly(flight, sim_time=True, parameters=parameters)
+    _, player = fly(flight, parameters=parameters)
     reached = flight.messages[0].log_ns
 
     def play_until(enough: Callable[[], bool]) -> None:
