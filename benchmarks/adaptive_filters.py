@@ -2,9 +2,9 @@
 """The adaptive filters of `padasip` on the identifier's filtered regressors."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-import padasip
 from cases import Case, Track, identify
 
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
@@ -19,7 +19,16 @@ RLS_FORGETTING = 0.998
 NLMS_STEPS = (0.01, 0.05, 0.2, 0.5)
 """Step sizes; the best of them in hindsight is compared."""
 
-FILTERS = {"RLS": padasip.filters.FilterRLS, "NLMS": padasip.filters.FilterNLMS}
+
+def make_filter(
+    kind: str,  # ``RLS`` or ``NLMS``
+    count: int,  # Coefficients
+    mu: float,  # Forgetting factor of RLS, step of NLMS
+) -> Any:
+    """Return a filter of `padasip`, whose import takes a second."""
+    import padasip
+
+    return getattr(padasip.filters, f"Filter{kind}")(count, mu=mu, w="zeros")
 
 
 class RegressionRecorder(RecursiveRegression):
@@ -58,7 +67,7 @@ def run_filter(
     free = recorder.start.free
     out = np.zeros((len(recorder.y), *free.shape))
     for i, row in enumerate(free):
-        one = FILTERS[kind](int(row.sum()), mu=mu, w="zeros")
+        one = make_filter(kind, int(row.sum()), mu)
         for k, (y, f) in enumerate(zip(recorder.y, recorder.f, strict=True)):
             one.adapt(y[i], f[row])
             out[k, i, row] = one.w

@@ -16,7 +16,6 @@ import cases
 import flights
 import numpy as np
 import output_error
-import padasip
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.regression import Regression, RowSamples
@@ -372,7 +371,7 @@ def _rls_times(case: cases.Case, samples: int) -> FloatArray:
     structure = STRUCTURES[WIDEST]
     recorder = adaptive_filters.recorded(case, {})[1]
     filters = [
-        padasip.filters.FilterRLS(int(row.sum()), mu=adaptive_filters.RLS_FORGETTING, w="zeros")
+        adaptive_filters.make_filter("RLS", int(row.sum()), adaptive_filters.RLS_FORGETTING)
         for row in structure.mask
     ]
     times = []
