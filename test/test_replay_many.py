@@ -390,7 +390,7 @@ def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) ->
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_bag_and_many_have_one_progress_bar(count: int, tmp_path: Path) -> None:
     bags = [str(excerpt(tmp_path / "bag", 4.0))] * count
-    output = ["--output", str(tmp_path / "out")]
+    output = ["--output", str(tmp_path / "out"), "--jobs", "1"]
     command = [sys.executable, "-m", "uav_ident_ros", "replay", *bags, *output]
     nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
     with closing(Terminal(command, 100, **nowhere)) as terminal:  # for the error stream alone
