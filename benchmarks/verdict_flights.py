@@ -542,19 +542,6 @@ def _mistakes(series: Series) -> Iterator[Trial]:
             )  # fmt: skip
 
 
-def _axes(series: Series) -> Iterator[Trial]:
-    """Turn with an Imu that points backwards, or with a gyro axis of the wrong sign."""
-    half_a_turn = np.diag([-1.0, -1.0, 1.0])
-    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 5), ("T37", 3), ("OV10", 3)):
-        for label, rates, force in (
-            ("Imu backwards", half_a_turn, half_a_turn),
-            ("roll rate reversed", np.diag([-1.0, 1.0, 1.0]), np.eye(3)),
-            ("yaw rate reversed", np.diag([1.0, 1.0, -1.0]), np.eye(3)),
-        ):
-            spoil = partial(_imu, rates, force)
-            yield series.trial(aircraft, label, bank=30.0, wind=wind, spoil=spoil)
-
-
 def _recorded(series: Series) -> Iterator[Trial]:
     """Real flights, each once, if available."""
     for name in filter(cases.is_recorded, cases.RECORDED_DELAY if series.seed == 1 else ()):
@@ -567,7 +554,7 @@ CLASSES = {
     for make in (
         _feedback, _old_knowledge, _changed, _unmodelled, _untold, _weak, _glitch, _clean, _in_turn,
         _partly, _unseen, _random, _closed_loop, _told_wrong, _launched, _blocked, _loaded,
-        _mistakes, _axes, _recorded,
+        _mistakes, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""

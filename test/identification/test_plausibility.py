@@ -310,16 +310,14 @@ def test_reversed_channels_are_named_beyond_three_sigma(
 
 
 def test_an_imu_that_points_backwards_is_never_usable_where_signs_are_expected() -> None:
-    """Gravity does not show it, and `augmented` has no airspeed to compare with the turns."""
+    """Gravity does not show it: roll and pitch rate are reversed, and so are ax and ay."""
     measured = light_measured(35.0)
-    own: dict[str, Any] = {
-        "structure": "augmented",
-        "supervision__expected_signs": ("-qdot/de", "-rdot/dr", "+pdot/da"),
-    }
-    estimates = identified(measured, imu__rpy=(0.0, 0.0, math.pi), **own)[1]
+    signs = ("-qdot/de", "-rdot/dr", "+pdot/da")
+    own = {"imu__rpy": (0.0, 0.0, math.pi), "supervision__expected_signs": signs}
+    estimates = identified(measured, **own)[1]
     assert not any(usable for e in estimates for usable in e.usable_rows)
     assert "the Imu may point backwards; correct imu.rpy" in estimates[-1].reason
-    assert not identified(measured, **own)[0].plausibility.noted
+    assert not identified(measured, supervision__expected_signs=signs)[0].plausibility.noted
 
 
 class Learning:

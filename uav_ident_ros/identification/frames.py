@@ -25,16 +25,6 @@ def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
     )
 
 
-def rotations(vectors: FloatArray) -> FloatArray:
-    """Return the rotation matrices, shape (k, 3, 3), of rotation vectors, rad (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    x, y, z = (vectors / np.maximum(angle, 1e-12)[:, None]).T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
-    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
-
-
 class BodyFrame:
     """Rotation of vectors between the Imu's own axes and the body axes FRD."""
 

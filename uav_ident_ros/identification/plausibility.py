@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.identification import turning
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.exchange import ExchangedInputs
 from uav_ident_ros.identification.flow import GRAVITY_BAND
@@ -27,7 +26,6 @@ from uav_ident_ros.identification.linearisation import damping
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.sampling import InputMap
 from uav_ident_ros.identification.scales import (
-    DOUBTLESS,
     INDEPENDENT_TIME,
     LONG_MEMORY,
     MEMORY,
@@ -45,7 +43,6 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
     Structure,
 )
-from uav_ident_ros.identification.turning import Turns, attitudes
 
 ENOUGH = 2.0 * RESPONSE_TIME
 """Time before the first finding, s: a launch is over by then, and mistakes are named within 10 s.
@@ -134,13 +131,11 @@ class Plausibility:
         self._imu = settings.imu
         self._frame = BodyFrame(settings.imu)
         self._map = InputMap(settings.actuators)
-        self._airspeed = settings.airspeed
         self._learns_trim = settings.actuators.learn_trim_time > 0.0
         self._structure = STRUCTURES[settings.structure]
         self._expected = settings.supervision.expected_signs
         self._multirotor = settings.actuators.multirotor
         self.exchanged = ExchangedInputs()  # From the samples that are learned from
-        self._turns = Turns()
         # Integrals over time of direction (3), vector (3) and magnitude (1) of the specific force
         self._sums: FloatArray = np.zeros(7)
         self._time = 0.0
@@ -151,10 +146,9 @@ class Plausibility:
 
     def restart(self) -> None:
         """Begin a new stretch of signals: drop the present findings, keep `noted`."""
-        self._motion = TickMeans(turning.WINDOW)
+        self._motion = TickMeans(WINDOW)
         self._inputs: list[tuple[float, FloatArray]] = []
         self._began: float | None = None
-        self._fitted = -math.inf
         self._now = -math.inf
         self._looked = -math.inf
         self._found.clear()
@@ -243,13 +237,7 @@ class Plausibility:
             if self._time > LONG_MEMORY:
                 self._sums *= LONG_MEMORY / self._time
                 self._time = LONG_MEMORY
-        new = t - times <= WINDOW
-        found = (
-            self._size()
-            or self._mounting()
-            or self._gyro_units(times[new], rates[new], force[new])
-            or self._ahead(times, rates, force)
-        )
+        found = self._size() or self._mounting() or self._gyro_units(times, rates, force)
         return [found] if found else []
 
     def _size(self) -> Finding | None:
@@ -307,8 +295,6 @@ class Plausibility:
         self, times: FloatArray, rates: FloatArray, force: FloatArray
     ) -> Finding | None:
         """Return a finding if gravity is constant only for rates read as deg/s; any axes."""
-        if len(times) < 2:
-            return None
         speed = float(np.mean(np.linalg.norm(rates, axis=1)))
         if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < SMALLEST_MEAN_RATE:
             return None
@@ -323,39 +309,6 @@ class Plausibility:
             f"by it the specific force of the last {WINDOW:g} s is {left:.1f} g in place of 1 g; "
             "convert the angular velocity to rad/s (REP-103)",
         )
-
-    def _ahead(self, times: FloatArray, rates: FloatArray, force: FloatArray) -> Finding | None:
-        """Return a finding if the turns fit no flight ahead, or a far higher airspeed."""
-        if not self._structure.has_flow:  # rotors fly backwards as well
-            return None
-        filled = times[-1] - times[0] >= turning.WINDOW - INDEPENDENT_TIME
-        if filled and times[-1] - self._fitted >= turning.STEP:
-            self._fitted = float(times[-1])
-            self._turns.add(times, self._frame.to_body(rates), self._frame.to_body(force))
-        if self._turns.mirrored:
-            return Finding(
-                "gyro axes",
-                "an axis of the gyro has the wrong sign: with all three reversed its turns fit the "
-                "specific force twice as well. Correct it where the Imu is read (REP-103)",
-            )
-        speed, sigma = self._turns.speed
-        evidence = f"its turns fit {speed:.0f} +- {sigma:.0f} m/s ahead"
-        if speed < -DOUBTLESS * sigma:
-            return Finding(
-                "backwards",
-                f"the Imu points backwards: {evidence}. Turn it round, or add 3.14 to the yaw of "
-                "imu.rpy; for a multirotor set another structure",
-            )
-        reference = self._airspeed.reference
-        # A wind as fast as the aircraft doubles its speed over the ground.
-        if not self._airspeed.type and speed - DOUBTLESS * sigma > 2.0 * reference:
-            return Finding(
-                "airspeed",
-                f"airspeed.reference is too low: it is {reference:g} m/s, and {evidence}. Set it "
-                "to the usual airspeed",
-                fault=False,
-            )
-        return None
 
     # -- channels --------------------------------------------------------------------------
 
@@ -379,10 +332,30 @@ class Plausibility:
 
 
 def _gravity_left(times: FloatArray, rates: FloatArray, force: FloatArray) -> float:
-    """Return the magnitude, in g, of the mean specific force, rotated to the initial attitude."""
-    _, turns = attitudes(times, rates)
+    """Return the magnitude, in g, of the mean specific force, rotated to the initial attitude.
+
+    The rates of a tick hold for the time since the previous one. A gap counts as one tick.
+    """
+    steps = np.diff(times, prepend=times[0])
+    usual = float(np.median(steps[1:]))
+    steps = np.where(steps > 4.0 * usual, usual, steps)
+    turns = _rotations(rates * steps[:, None])
+    reach = 1
+    while reach < len(turns):  # cumulative products, by doubling
+        turns[reach:] = turns[:-reach] @ turns[reach:]
+        reach *= 2
     back = np.einsum("kij,kj->i", turns, force) / len(force)
     return float(np.linalg.norm(back)) / GRAVITY
+
+
+def _rotations(vectors: FloatArray) -> FloatArray:
+    """Return the rotation matrices, shape (k, 3, 3), of rotation vectors, rad (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    x, y, z = (vectors / np.maximum(angle, 1e-12)[:, None]).T
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
+    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
 
 
 def _off_range(
