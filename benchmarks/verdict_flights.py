@@ -307,6 +307,15 @@ def _untold(series: Series) -> Iterator[Trial]:
             )  # fmt: skip
 
 
+def _biased(series: Series) -> Iterator[Trial]:
+    """Excitation, with a constant error of the gyro."""
+    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 3), ("T37", 3)):
+        for size in (0.05, 0.1):
+            sensors = replace(SENSORS, gyro_bias=(size, -size, 0.7 * size))
+            label = f"gyro bias {size:g} rad/s"
+            yield series.trial(aircraft, label, bank=20.0, wind=wind, sensors=sensors)
+
+
 def _weak(series: Series) -> Iterator[Trial]:
     """Noisy sensors at 25 Hz, little excitation."""
     for aircraft, wind, scale in (
@@ -552,9 +561,9 @@ def _recorded(series: Series) -> Iterator[Trial]:
 CLASSES = {
     make.__name__.removeprefix("_"): make
     for make in (
-        _feedback, _old_knowledge, _changed, _unmodelled, _untold, _weak, _glitch, _clean, _in_turn,
-        _partly, _unseen, _random, _closed_loop, _told_wrong, _launched, _blocked, _loaded,
-        _mistakes, _recorded,
+        _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _weak, _glitch, _clean,
+        _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _launched, _blocked,
+        _loaded, _mistakes, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""
