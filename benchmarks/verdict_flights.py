@@ -34,6 +34,9 @@ EXCITED, CHANGED = 60.0, 75.0
 GLITCH_TIME, GLITCH = 75.0, 34.9
 """Time of a wrong gyro sample, s, and its value, rad/s: 2000 deg/s."""
 
+RETRIM, RETRIM_TIME = 0.1, 2.0
+"""Change of a trim in flight, rad, and the time that it takes, s."""
+
 LONG, SHORT = 1.0, 0.8
 """Relative length of the flights; `SHORT` still includes the failure and the glitch."""
 
@@ -541,6 +544,23 @@ def _loaded(series: Series) -> Iterator[Trial]:
         yield series.trial("light_aircraft", label, 130.0, bank=20.0, wind=0.3, changes=changes)
 
 
+def _retrim(surface: int, when: float, measured: Measurements) -> Measurements:
+    """Move the recorded channel by `RETRIM` over two seconds, as flaps move the trim."""
+    time = (measured.actuator_t_ns - measured.imu_t_ns[0]) * 1e-9
+    actuators = measured.actuators.copy()
+    actuators[:, surface] += RETRIM * np.clip((time - when) / RETRIM_TIME, 0.0, 1.0)
+    return replace(measured, actuators=actuators)
+
+
+def _retrimmed(series: Series) -> Iterator[Trial]:
+    """Excitation; the trim changes, as by flaps or a shifted load, and no channel shows it."""
+    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 3), ("T37", 3)):
+        for name in ("de", "da"):
+            spoil = partial(_retrim, INPUTS.index(name), 0.6 * series.length * CHANGED)
+            label = f"trim of {name} + {RETRIM:g} rad"
+            yield series.trial(aircraft, label, bank=20.0, wind=wind, spoil=spoil)
+
+
 def _mistakes(series: Series) -> Iterator[Trial]:
     """Excitation, with one mistake in each flight."""
     for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 0)):
@@ -563,7 +583,7 @@ CLASSES = {
     for make in (
         _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _weak, _glitch, _clean,
         _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _launched, _blocked,
-        _loaded, _mistakes, _recorded,
+        _loaded, _retrimmed, _mistakes, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""

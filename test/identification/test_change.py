@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The change detector: changes of the aircraft are detected; noise and model errors are not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from flying import SURFACES, identified, light_errors, light_measured
+from flying import SURFACES, identified, light_errors, light_measured, since
 from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
@@ -42,8 +44,10 @@ class Monitor:
         more: FloatArray,
         noise: ArrayLike = 0.05,
         sigma: ArrayLike = 0.0,
+        outlying: ArrayLike = False,  # Whether the residual of qdot is far outside its usual size
     ) -> None:
         own, self.found = detector(), []
+        far = np.broadcast_to(outlying, len(u))
         scatter = np.random.default_rng(1).normal(size=(len(u), 3))
         noise, sigma = (np.broadcast_to(v, len(u)) for v in (noise, sigma))
         for k in range(len(u)):
@@ -52,7 +56,8 @@ class Monitor:
             y = f @ ELEVATOR.T + noise[k] * scatter[k]
             y[:, 1] += more[k]
             if own.add(Regression.of(y, f, f, TICK / 10).means()):
-                changes = own.look(ELEVATOR, np.full((3, 4), sigma[k]))
+                rows = np.array([False, far[k], False])
+                changes = own.look(ELEVATOR, np.full((3, 4), sigma[k]), rows)
                 self.found += [(k, change.row, change.column) for change in changes]
 
     def assert_first(self, since: int, column: int = 8) -> None:
@@ -126,7 +131,9 @@ def test_a_change_of_a_whole_row_by_one_factor_is_detected(share: float) -> None
         f[:, 8], f[:, 6] = 0.03 * chance.normal(), 0.15 * chance.normal()
         y = (share if k >= 1200 else 1.0) * f @ row.T + 0.05 * chance.normal(size=3)
         if own.add(Regression.of(y, f, f, 0.005).means()):
-            found += [(k, change) for change in own.look(row, np.zeros((3, 4)))]
+            found += [
+                (k, change) for change in own.look(row, np.zeros((3, 4)), np.zeros(3, dtype=bool))
+            ]
     (detected, change), *_ = found
     assert (change.row, change.column) == (1, None)
     assert change.size == pytest.approx(0.6 * (share - 1.0), rel=0.5)  # in half of the window
@@ -162,6 +169,39 @@ def test_a_step_of_the_moment_is_attributed_to_the_constant() -> None:
             slow += 0.005 * 25.0 * (smooth[0] - slow)
         moment[k], u[k] = smooth[0], u[k] + slow / 20.0
     Monitor(u, moment).assert_first(1200, CONSTANT_COLUMN)
+
+
+@pytest.mark.parametrize("ramp", [1, 40])
+def test_another_trim_is_a_change_of_the_constant_where_the_row_does_not_learn(ramp: int) -> None:
+    """A moment of 2 rad/s^2 builds up over that many ticks, as by flaps."""
+    k, u = swaying(1600)
+    moment = 2.0 * np.clip((k - 1200) / ramp, 0.0, 1.0)
+    assert Monitor(u, moment).found == []
+    Monitor(u, moment, outlying=k >= 1210).assert_first(1200 + ramp, CONSTANT_COLUMN)
+
+
+@pytest.mark.parametrize("tau", [0.3, 1.0])
+def test_gusts_outside_their_usual_size_are_no_other_trim(tau: float) -> None:
+    """Gusts of 2 rad/s^2 with this correlation time, s."""
+    _, u = swaying(2400)
+    keep = np.exp(-TICK / tau)
+    noise = np.random.default_rng(6).normal(size=len(u))
+    gusts = 2.0 * np.sqrt(1.0 - keep**2) * lfilter([1.0], [1.0, -keep], noise)
+    assert Monitor(u, gusts, outlying=True).found == []
+
+
+@pytest.mark.parametrize(("row", "surface"), [("qdot", 0), ("pdot", 2)])
+def test_a_row_learns_on_after_another_trim(row: str, surface: int) -> None:
+    """A trim that the channels do not show, as by flaps, had stopped the row for good."""
+    m = light_measured(56.0, bank=20.0, noise_seed=3)
+    time = (m.actuator_t_ns - m.actuator_t_ns[0]) * 1e-9
+    actuators = m.actuators.copy()
+    actuators[:, surface] += 0.1 * np.clip((time - 38.0) / 2.0, 0.0, 1.0)
+    identifier, estimates = identified(replace(m, actuators=actuators))
+    assert {change.name for change in identifier.supervisor.changed} == {f"{row}/1"}
+    usable = [e.usable_rows[ROWS.index(row)] for e in since(estimates, 50.0, 56.0)]
+    assert all(usable)
+    assert max(light_errors(estimates[-1], "pdot/da", "qdot/de")[1]) < 3.0
 
 
 def test_prewhitening_whitens_gusts_with_a_correlation_time_of_0_3_s() -> None:

@@ -27,6 +27,7 @@ from uav_ident_ros.identification.sampling import Block, join
 from uav_ident_ros.identification.scales import LONG_MEMORY, MEMORY, OUTLYING, SHORT_MEMORY
 from uav_ident_ros.identification.settings import Settings, SupervisionSettings
 from uav_ident_ros.identification.structure import (
+    CONSTANT_COLUMN,
     INPUTS,
     MAIN_DERIVATIVES,
     MAIN_INPUTS,
@@ -241,7 +242,8 @@ class Supervisor:
             name = f"{ROWS[i]}/{self._structure.regressors[j]}"
             prior_rejected = (i, j) in estimator.rejected
             change = Change(name, prior_rejected, t, float(self._sigma[i, j]))
-            self._relearning[i, j] = change
+            if j != CONSTANT_COLUMN:  # at another trim the derivatives hold
+                self._relearning[i, j] = change
             self.changed.append(change)
             self._usual_time[i] = 0.0
             self.confirmed.forget(i)

@@ -113,18 +113,22 @@ class ChangeDetector:
         # learning, no change. The smaller of those now and before the window counts: a change
         # increases the present ones.
         sigma: FloatArray,
+        # (3,) Rows whose residual is far outside its usual size, and that therefore learn little
+        outlying: BoolArray,
     ) -> list[Change]:
         """Return the detected changes, at most one in each row.
 
         A motor that loses thrust steps a constant moment. The controller's answer is a step of its
         inputs, which resembles a slope. Where the step explains more, the constant has changed.
+        It has also changed where its mean is all that is unusual in an outlying residual.
         Where a whole row explains clearly more than each control derivative, the row has changed.
         """
         self._since_look = 0.0
         newest = self._window[-1]
         signals = np.concatenate([samples.signals for samples in self._window])
         window = Regression(signals, newest.rows, newest.dt)
-        residual = _whitened(window.residual(coefficients)[:, :3], window.dt)
+        left_over = window.residual(coefficients)[:, : len(ROWS)]
+        residual = _whitened(left_over, window.dt)
         rows = coefficients[: len(ROWS)]
         moved = np.hstack((window.f[:, self._column], window.z @ rows.T))
         regressors = _whitened(moved, window.dt)
@@ -163,6 +167,10 @@ class ChangeDetector:
                 column, by, first = CONSTANT_COLUMN, step, passed
             after = Regression(signals[first:], window.rows, window.dt)
             changes.append(Change(row, column, float(by), after))
+        explained_rows = [change.row for change in changes]
+        others = outlying & self._has_constant
+        others[explained_rows] = False
+        changes += self._shifted(window, left_over, others)
         if changes:
             self.restart()  # relative to the new coefficients the window contains the change
         return changes
@@ -178,6 +186,22 @@ class ChangeDetector:
             self._energy = KEPT * self._energy + energy
             self._power = KEPT * self._power + power
         return np.sqrt(_ratio(self._energy, self._power))
+
+    def _shifted(self, window: Regression, residual: FloatArray, rows: BoolArray) -> list[Change]:
+        """Return the changes of the constant in those of the rows that it explains.
+
+        Flaps, a gear or a dropped load change the trim, at once or over seconds. No input explains
+        that, and a row whose residual is too large to learn from does not learn it, either.
+        """
+        changes = []
+        for row in np.flatnonzero(rows).tolist():
+            own = residual[:, row]
+            mean, square = np.add.reduce(own) / len(own), np.add.reduce(own * own) / len(own)
+            if OUTLYING * (square - mean * mean) <= square:  # the rest is of usual size
+                size = float(mean / np.mean(window.f[:, CONSTANT_COLUMN]))
+                after = Regression(window.signals[len(own) // 2 :], window.rows, window.dt)
+                changes.append(Change(row, CONSTANT_COLUMN, size, after))
+        return changes
 
     def _step(self, residual: FloatArray, dt: float) -> tuple[float, float, int]:
         """Return the best step of the constant: share explained, size, and end.

@@ -117,11 +117,15 @@ class ModelError:
         shared = early[:_YAW] if rotors else early
         return np.maximum(np.maximum(self.share, self._late), np.maximum(early, shared.max()))
 
-    def forget(self, row: int) -> None:
-        """Clear the sums of a row that is learned anew."""
+    def begin_anew(self, row: int) -> None:
+        """Clear the sums of a row; its errors hold until there are enough blocks again."""
         self._gathered.clear()
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
+
+    def forget(self, row: int) -> None:
+        """Clear the sums and errors of a row whose derivatives are learned anew."""
+        self.begin_anew(row)
         self.share[row] = self._early[row] = self._late[row] = 0.0
 
     def add(

@@ -111,7 +111,7 @@ class RecursiveRegression(Estimator):
         moments = rows.residual[: len(ROWS)].T
         seen = self._gate.update(samples, moments, self.coefficients[: len(ROWS)])
         self.clear, self.learning = self._gate.clear, self._gate.learning & (weight > 0.0)
-        weight = weight * seen
+        outlying, weight = weight < 1.0, weight * seen
         rates = samples.f[:, RATE_COLUMNS]
         square = np.add.reduce(rates * rates) / len(rates)
         self._power += min(samples.time / SHORT_MEMORY, 1.0) * (square - self._power)
@@ -127,7 +127,8 @@ class RecursiveRegression(Estimator):
             answers, answering = np.zeros(len(ROWS)), None  # Injected signals have no disturbance.
         else:
             known = np.abs(self._known[0].values[1][MAIN_DERIVATIVES])  # whitened
-            self._feedback.add(samples, moments, weight, known)
+            counted = moments * (weight > 0.0)  # a row learns nothing from the others
+            self._feedback.add(samples, counted, weight, known)
             self.answers = self._feedback.share
             answers = self._feedback.ratio[range(len(ROWS)), self._layout.main]
             # Residuals of a wrong model follow the inputs: its reference knows the feedback better.
@@ -152,7 +153,7 @@ class RecursiveRegression(Estimator):
         weight = self._row_weights(weight)
         parts = (rows, white, rows)[: len(self.information.variance)]
         self.information.add(parts, weight, answering, injected=samples.injected)
-        self._follow_changes(samples)
+        self._follow_changes(samples, outlying)
         if self._reference and reference_has_learned:
             self._reject_priors(self._reference.estimator)
         self._since_sigma += samples.time
@@ -313,13 +314,16 @@ class RecursiveRegression(Estimator):
 
     # -- changes in flight -----------------------------------------------------------------
 
-    def _follow_changes(self, samples: Regression) -> None:
-        """Detect changes, and reset the covariance of the coefficients that changed."""
+    def _follow_changes(self, samples: Regression, outlying: BoolArray) -> None:
+        """Detect changes, and reset the covariance of the coefficients that changed.
+
+        Of the moment rows those in `outlying` have a residual far outside its usual size.
+        """
         self.changes, self.rejected = [], []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
             sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
-            for change in self._detector.look(linear, sigma):
+            for change in self._detector.look(linear, sigma, outlying):
                 column = MAIN_COLUMNS[change.row] if change.column is None else change.column
                 self.changes.append((change.row, int(column)))
                 self._release(change)
@@ -343,7 +347,10 @@ class RecursiveRegression(Estimator):
             if column in flow.others:
                 by_force = (columns[flow.force] == column) * before[flow.force]
                 self._reset(flow.force, by_force / effect * size, change.after)
-        self._error.forget(row)
+        if column == CONSTANT_COLUMN:
+            self._error.begin_anew(row)
+        else:
+            self._error.forget(row)
         self._since_sigma = np.inf
 
     def _reset(self, row: int, moved: FloatArray, samples: Regression) -> None:
