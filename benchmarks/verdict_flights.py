@@ -37,6 +37,9 @@ GLITCH_TIME, GLITCH = 75.0, 34.9
 RETRIM, RETRIM_TIME = 0.1, 2.0
 """Change of a trim in flight, rad, and the time that it takes, s."""
 
+CLIP = 0.4
+"""Limit of a clipped record, relative to the largest command."""
+
 LONG, SHORT = 1.0, 0.8
 """Relative length of the flights; `SHORT` still includes the failure and the glitch."""
 
@@ -266,6 +269,14 @@ def _thinned(measured: Measurements) -> Measurements:
     )
 
 
+def _clipped(measured: Measurements) -> Measurements:
+    """Clip each recorded channel at `CLIP` of its largest deviation from trim."""
+    trim = measured.flight.channel_trim
+    away = measured.actuators - trim
+    limit = CLIP * np.abs(away).max(axis=0)
+    return replace(measured, actuators=trim + np.clip(away, -limit, limit))
+
+
 def _unmodelled(series: Series) -> Iterator[Trial]:
     """Excitation, with servos or a mounting that the settings do not contain."""
     light, late = {"bank": 20.0, "wind": 0.5}, DELAY + 0.15
@@ -289,6 +300,7 @@ def _unmodelled(series: Series) -> Iterator[Trial]:
                {**UNTOLD, "actuators.time_constant": 0.05}, {}),
               ("delay 60 ms shorter than told", {"actuators.delay": DELAY + 0.06}, {}),
               ("commands recorded at 10 Hz", {}, {"spoil": _thinned}),
+              ("commands clipped in the record", {}, {"spoil": _clipped}),
               ("Imu 15 cm above the centre of gravity", {"imu.lever_arm": [0.0, 0.0, 0.0]},
                {"sensors": replace(SENSORS, lever_arm=(0.0, 0.0, -0.15))}),
               ("Imu 15 cm below the centre of gravity", {"imu.lever_arm": [0.0, 0.0, 0.0]},

@@ -31,9 +31,17 @@ def by_aileron(
 
 
 def rolled(
-    travel: float = 1.0, noise: float = 0.3, lag: float = 0.0, seconds: float = 60.0, seed: int = 1
+    travel: float = 1.0,
+    noise: float = 0.3,
+    lag: float = 0.0,
+    seconds: float = 60.0,
+    seed: int = 1,
+    dead: float = 0.0,
 ) -> RowSamples:
-    """Samples of a roll by an aileron with a travel, rad, for 0.1 commanded, and a servo lag, s."""
+    """Samples of a roll by an aileron with a travel, rad, for 0.1 commanded, and a servo lag, s.
+
+    Of each command a band `dead` to either side of zero, rad, is missing.
+    """
     rng = np.random.default_rng(seed)
     t = DT * np.arange(round(seconds / DT))
     u = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
@@ -41,7 +49,8 @@ def rolled(
     gusts, reached = noise * rng.normal(size=len(t)), 0.0
     for k, command in enumerate(u):
         keep = np.exp(-DT / lag) if lag else 0.0
-        reached = keep * reached + (1.0 - keep) * np.clip(command, -travel, travel)
+        moved = np.clip(command, -travel, travel) - np.clip(command, -dead, dead)
+        reached = keep * reached + (1.0 - keep) * moved
         pdot[k] = DAMPING * p[k] + EFFECT * reached + gusts[k]
         p[k + 1] = p[k] + DT * pdot[k]
     return by_aileron(u, pdot, p[:-1])
@@ -76,10 +85,14 @@ def test_the_model_error_is_at_most_the_whole_effect() -> None:
 
 @pytest.mark.parametrize(
     "flight",
-    [{"travel": 0.015}, {"travel": 0.03}, {"travel": 0.05}, {"lag": 0.08}, {"lag": 0.12}],
+    [
+        *({"travel": 0.015}, {"travel": 0.03}, {"travel": 0.05}),
+        *({"lag": 0.08}, {"lag": 0.12}),
+        *({"dead": 0.02}, {"dead": 0.04}),
+    ],
     ids=str,
 )
-def test_a_saturated_or_lagging_aileron_has_a_model_error(flight: dict[str, float]) -> None:
+def test_a_saturated_lagging_or_dead_aileron_has_a_model_error(flight: dict[str, float]) -> None:
     """Elevator and rudder do not move and have none."""
     found = share(rolled(**flight))
     assert found[0] > 0.1

@@ -385,7 +385,7 @@ def _incomplete(row: int, share: float, t_ratio: float, *, multirotor: bool = Fa
     if share * t_ratio <= 1.0:
         return ""
     surface, move = MAIN_INPUTS[ROWS[row]], "the surfaces"
-    causes = "a servo lag, a delay, a limit of travel or of servo speed"
+    causes = "a servo lag, a delay, a dead band, a limit of travel or of servo speed"
     if multirotor:
         causes, move = "a motor lag, a delay, a limit of thrust", surface
         if ROWS[row] == "rdot":
@@ -394,7 +394,7 @@ def _incomplete(row: int, share: float, t_ratio: float, *, multirotor: bool = Fa
             )
     return (
         f"{ROWS[row]} follows {surface} badly: {100.0 * min(share, 1.0):.0f} % of the effect is "
-        f"late, early, or missing at large or quick deflections ({causes}); correct "
+        f"late, early, or missing at small, large or quick deflections ({causes}); correct "
         "'actuators.time_constant', 'actuators.delay' or 'actuators.upper_limit', or move "
         f"{move} more slowly"
     )

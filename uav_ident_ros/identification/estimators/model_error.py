@@ -192,8 +192,10 @@ class ModelError:
         self._late = np.where(moments, late, self._late)
         if losses.informative[len(ROWS) :].all():
             self.height = float(losses.size[len(ROWS) :, 0, 1].sum())
-        # saturation, lateness next to it, and attenuation
-        taken = losses.sure[: len(ROWS)].reshape(len(ROWS), -1)[:, :3]
+        # Saturation, lateness next to it, and attenuation. An effect that grows with the
+        # deflection, as by a dead band, is as large an error as one that saturates.
+        taken = losses.sure[: len(ROWS)].reshape(len(ROWS), -1)[:, :3].copy()
+        taken[:, _SATURATION] = np.abs(taken[:, _SATURATION])
         self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
