@@ -3,8 +3,9 @@
 
 Attitude: a complementary filter on the direction of gravity, ``gdot = -(omega + k m x g) x g``
 with ``m`` the direction of the centripetal acceleration ``V x omega`` less the specific force
-(Mahony, Hamel and Pflimlin 2008). Flow angles: their kinematics with the measured rates and forces,
-corrected towards the angle at which the force rows give the measured force.
+(Mahony, Hamel and Pflimlin 2008), and omega less a significant bias of the gyro. Flow angles: their
+kinematics with the measured rates and forces, corrected towards the angle at which the force rows
+give the measured force.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from uav_ident_ros.identification.gyro import GyroFilters
 from uav_ident_ros.identification.model import GRAVITY, LARGEST_ANGLE, plan_steps
 from uav_ident_ros.identification.sampling import Block
+from uav_ident_ros.identification.scales import GRAVITY_BAND, RESPONSE_TIME
 from uav_ident_ros.identification.speed import LARGEST_RATIO
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
@@ -30,10 +33,6 @@ ATTITUDE_GAIN = 0.1
 gravity: at 3 rad/s it enters the flow angle with 3 %, and yaw damping with as much. In the time
 constant of 10 s an unknown bias of the gyro turns the attitude by a few degrees, until it is known.
 """
-
-GRAVITY_BAND = 0.3
-"""Relative difference of the corrected specific force from gravity at which the correction has no
-weight; the weight grows linearly as the difference falls."""
 
 _ROLL, _BIAS = RATE_COLUMNS.start, CONSTANT_COLUMN
 
@@ -93,6 +92,9 @@ class FlowObserver:
         self.down: Vector = (0.0, 0.0, 1.0)
         self._bias: Vector = (0.0, 0.0, 0.0)
         self._speed = reference
+        self.gyro = GyroFilters()
+        # Steps that it has not seen: durations, s, rates, rad/s, and specific forces, m/s^2
+        self._steps: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
     @property
     def attitude(self) -> tuple[float, float]:
@@ -130,8 +132,15 @@ class FlowObserver:
             v = airspeed
         self._speed = v
         plan = plan_steps(len(block.u), block.h)
-        x, force = plan.means @ block.x, plan.means @ block.specific_force
-        samples = np.concatenate((x, plan.cell_means @ block.u, force), axis=1).tolist()
+        rates, force = plan.means @ block.x, plan.means @ block.specific_force
+        samples = np.concatenate((rates, plan.cell_means @ block.u, force), axis=1).tolist()
+        if block.restarted:
+            self._steps.clear()
+            self.gyro.restart()
+        bias = self.gyro.bias
+        unbiased = (rates - bias).tolist()
+        if bias.any():  # What was integrated before is in it
+            self._bias = (0.0, 0.0, 0.0)
         a = coefficients.tolist()
         missing = [(a[rows.kinematics][_ROLL], a[rows.kinematics][_BIAS]) for rows in self._rows]
         forces: list[Force] = [
@@ -139,14 +148,13 @@ class FlowObserver:
             for rows in self._rows
         ]
         if block.restarted:
-            self._restart(samples[0], forces, v)
+            self._restart(samples[0], unbiased[0], forces, v)
         edges = [(*self.angles, *self.down)]
-        for dt, sample in zip(plan.times, samples, strict=True):
-            rates, force = sample[:3], sample[-3:]
-            p, q, r = rates
+        for dt, sample, turn in zip(plan.times, samples, unbiased, strict=True):
             # Gravity turns against the aircraft, and is corrected towards that of the sample.
-            (mx, my, mz), weight = _gravity(force, rates, v)
-            (gx, gy, gz), (bx, by, bz), gain = self.down, self._bias, ATTITUDE_GAIN * weight
+            (mx, my, mz), weight = _gravity(sample[-3:], turn, v)
+            (p, q, r), (gx, gy, gz), (bx, by, bz) = turn, self.down, self._bias
+            gain = ATTITUDE_GAIN * weight
             ex, ey, ez = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
             integral = 0.25 * ATTITUDE_GAIN * gain * dt  # critically damped
             bx, by, bz = self._bias = (bx - integral * ex, by - integral * ey, bz - integral * ez)
@@ -156,21 +164,38 @@ class FlowObserver:
             z = gz - dt * (wx * gy - wy * gx)
             size = (x * x + y * y + z * z) ** 0.5
             self.down = (x / size, y / size, z / size)
-            # The flow angles: exact for signals that are constant over the step
+            # The flow angles: exact for signals that are constant over the step. The constants of
+            # their kinematics contain the bias of the gyro.
+            p, q, r = sample[:3]
             measured = _measured_angles(sample, forces)
             (beta, alpha), keep = self.angles, exp(-self._rate * dt)
             for k, turning in ((0, p * alpha - r), (1, q - p * beta)):
                 by_p, bias = missing[k]
-                rate = turning + (force[1 + k] + GRAVITY * self.down[1 + k]) / v
+                rate = turning + (sample[k - 2] + GRAVITY * self.down[1 + k]) / v
                 aim = measured[k] + (rate + by_p * p + bias) / self._rate
                 self.angles[k] = aim + keep * (self.angles[k] - aim)
             edges.append((*self.angles, *self.down))
+        self._find_bias(np.array(plan.times), rates, force, v)
         states = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
         return replace(block, flow=states, airspeed=v)
 
-    def _restart(self, sample: list[float], forces: list[Force], v: float) -> None:
+    def _find_bias(
+        self, times: FloatArray, rates: FloatArray, force: FloatArray, airspeed: float
+    ) -> None:
+        """Pass the steps on when they have the length of a response."""
+        if not force.any():  # No accelerometer
+            return
+        self._steps.append((times, rates, force))
+        if sum(float(own[0].sum()) for own in self._steps) >= RESPONSE_TIME:
+            times, rates, force = map(np.concatenate, zip(*self._steps, strict=True))
+            self._steps.clear()
+            self.gyro.add(times, rates, force, airspeed)
+
+    def _restart(
+        self, sample: list[float], rates: list[float], forces: list[Force], v: float
+    ) -> None:
         """Initialise attitude and flow angles from the first sample."""
-        direction, weight = _gravity(sample[-3:], sample[:3], v)
+        direction, weight = _gravity(sample[-3:], rates, v)
         if weight > 0.0:
             self.down = direction
         self.angles = _measured_angles(sample, forces)

@@ -69,3 +69,32 @@ def quaternions(
     x, y = sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy
     z, w = cr * cp * sy - sr * sp * cy, cr * cp * cy + sr * sp * sy
     return np.stack([x, y, z, w], axis=-1)
+
+
+def rotations(vectors: FloatArray) -> FloatArray:
+    """Return the rotation matrices, (..., 3, 3), of rotation vectors, (..., 3), rad (Rodrigues)."""
+    angle = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    cross = cross_matrices(vectors / np.maximum(angle, 1e-12))
+    sine, versine = np.sin(angle)[..., None], 1.0 - np.cos(angle)[..., None]
+    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+
+
+def cross_matrices(vectors: FloatArray) -> FloatArray:
+    """Return the matrices, (..., 3, 3), that multiply by vectors, (..., 3), as a cross product."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    rows = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
+    return np.asarray(rows.reshape(*x.shape, 3, 3))
+
+
+def attitudes(
+    steps: FloatArray,  # (k,) Duration of each sample, s
+    rates: FloatArray,  # (..., k, 3) Angular rates, rad/s, constant over each sample
+) -> FloatArray:
+    """Return the rotations, (..., k, 3, 3), from the axes after each sample to the initial ones."""
+    turns = rotations(rates * steps[:, None])
+    reach = 1
+    while reach < len(steps):  # cumulative products, by doubling
+        turns[..., reach:, :, :] = turns[..., :-reach, :, :] @ turns[..., reach:, :, :]
+        reach *= 2
+    return turns

@@ -681,7 +681,7 @@ class OnlineIdentifier:
             self._shown = self._flown, self._sigma * speed.scale
         if self._news:
             if supervision.plausibility:
-                self.plausibility.judge(*self._shown)
+                self.plausibility.judge(*self._shown, self._flow.gyro if self._flow else None)
             self.supervisor.judge(
                 t_ns * NS,
                 *self._shown,

@@ -19,13 +19,15 @@ import numpy as np
 
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.exchange import ExchangedInputs
-from uav_ident_ros.identification.flow import GRAVITY_BAND
-from uav_ident_ros.identification.frames import BodyFrame
+from uav_ident_ros.identification.frames import BodyFrame, attitudes
 from uav_ident_ros.identification.gates import TickMeans
+from uav_ident_ros.identification.gyro import GyroFilters
 from uav_ident_ros.identification.linearisation import damping
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.sampling import InputMap
 from uav_ident_ros.identification.scales import (
+    DOUBTLESS,
+    GRAVITY_BAND,
     INDEPENDENT_TIME,
     LONG_MEMORY,
     MEMORY,
@@ -113,7 +115,7 @@ def clock_step(seconds: float) -> Finding:
 
 
 class Doubt(NamedTuple):
-    """Hypothesis that channels are swapped or reversed, from their effects.
+    """Hypothesis that channels are swapped or reversed, or axes of the Imu.
 
     It is dropped when it becomes the less likely. It is confirmed if it is significant again after
     `ENOUGH` s.
@@ -176,17 +178,25 @@ class Plausibility:
         self._found[finding.name] = t, finding
         self.noted[finding.name] = finding
 
-    def judge(self, coefficients: FloatArray, sigma: FloatArray) -> None:
-        """Check for inputs that are reversed, by the coefficients, or swapped."""
+    def judge(
+        self,
+        coefficients: FloatArray,
+        sigma: FloatArray,
+        gyro: GyroFilters | None = None,  # None without flow angles: rotors fly backwards as well
+    ) -> None:
+        """Check for reversed inputs, by the coefficients, swapped ones, and wrong axes."""
         known, motors = (self._structure, coefficients, sigma, self._expected), self._multirotor
 
-        def find(sure: float = SURE) -> Finding | None:
-            signs = sign_finding(*known, sure, multirotor=motors)
-            return signs or exchange_finding(self.exchanged, sure, multirotor=motors)
+        def find(share: float = 1.0) -> Finding | None:  # Of the significance that is needed
+            return (
+                sign_finding(*known, share * SURE, multirotor=motors)
+                or exchange_finding(self.exchanged, share * SURE, multirotor=motors)
+                or (axes_finding(gyro, share * DOUBTLESS) if gyro else None)
+            )
 
         found, before = find(), self.doubt
         if found is None:
-            likely = before and find(sure=0.0)
+            likely = before and find(share=0.0)
             if likely is None or before is None or likely.name != before.finding.name:
                 self.doubt = None
         elif before is None or found.name != before.finding.name:
@@ -332,30 +342,16 @@ class Plausibility:
 
 
 def _gravity_left(times: FloatArray, rates: FloatArray, force: FloatArray) -> float:
-    """Return the magnitude, in g, of the mean specific force, rotated to the initial attitude.
-
-    The rates of a tick hold for the time since the previous one. A gap counts as one tick.
-    """
-    steps = np.diff(times, prepend=times[0])
-    usual = float(np.median(steps[1:]))
-    steps = np.where(steps > 4.0 * usual, usual, steps)
-    turns = _rotations(rates * steps[:, None])
-    reach = 1
-    while reach < len(turns):  # cumulative products, by doubling
-        turns[reach:] = turns[:-reach] @ turns[reach:]
-        reach *= 2
-    back = np.einsum("kij,kj->i", turns, force) / len(force)
+    """Return the magnitude, in g, of the mean specific force, rotated to the initial attitude."""
+    back = np.einsum("kij,kj->i", attitudes(_durations(times), rates), force) / len(force)
     return float(np.linalg.norm(back)) / GRAVITY
 
 
-def _rotations(vectors: FloatArray) -> FloatArray:
-    """Return the rotation matrices, shape (k, 3, 3), of rotation vectors, rad (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    x, y, z = (vectors / np.maximum(angle, 1e-12)[:, None]).T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
-    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+def _durations(times: FloatArray) -> FloatArray:
+    """Return the times since the previous ticks, s; a gap counts as one tick."""
+    steps = np.diff(times, prepend=times[0])
+    usual = float(np.median(steps[1:]))
+    return np.where(steps > 4.0 * usual, usual, steps)
 
 
 def _off_range(
@@ -465,6 +461,18 @@ def exchange_finding(
     return Finding(
         "swapped",
         f"{what}: {evidence}; exchange them in actuators.channels or actuators.mixing",
+    )
+
+
+def axes_finding(gyro: GyroFilters, sure: float) -> Finding | None:
+    """Return a finding if turns fit the specific force with other axes of the Imu."""
+    if not (found := gyro.wrong_axes(sure)):
+        return None
+    axes, sigma = found
+    return Finding(
+        "axes",
+        f"{axes.problem}: rotated by the gyro, the specific force fits straight flight better so, "
+        f"by {sigma:.1f} standard deviations. {axes.cure}",
     )
 
 

@@ -43,6 +43,10 @@ BLOCKS = round(LONG_MEMORY / INDEPENDENT_TIME)
 """Number of newest one-second blocks that statistics use: one block is a small share of the
 scatter."""
 
+GRAVITY_BAND = 0.3
+"""Relative difference from gravity of a specific force that does not show its direction. In the
+attitude's correction the weight falls linearly up to it."""
+
 SURE = 3.0
 """Number of standard deviations that counts as significant."""
 

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gyro: turns and specific force show its bias, and wrong axes whatever the bias."""
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from flying import identified, light_measured
+
+from uav_ident_ros.identification.gyro import HYPOTHESES, GyroFilters
+from uav_ident_ros.identification.scales import DOUBTLESS, RESPONSE_TIME
+from uav_ident_ros.identification.structure import FloatArray
+
+TICK = 0.05
+BLOCK = round(RESPONSE_TIME / TICK)
+NONE, BACKWARDS, X_OR_Z, Y = (hypothesis.problem for hypothesis in HYPOTHESES)
+
+
+@cache
+def flown() -> tuple[FloatArray, FloatArray]:
+    """Return rates and specific forces of an excited flight with turns and gusts, by ticks."""
+    measured = light_measured(100.0, bank=30.0, gust=2.0, sensors={"convention": "frd"})
+    signals = np.hstack([measured.rates, measured.specific_force])
+    means = signals[:-1].reshape(round(100.0 / TICK), -1, 6).mean(axis=1)
+    return means[:, :3], means[:, 3:]
+
+
+def evidence(rates: FloatArray, force: FloatArray, airspeed: float = 20.0) -> GyroFilters:
+    """Return the filters after all blocks of the signals."""
+    filters, steps = GyroFilters(), np.full(BLOCK, TICK)
+    for first in range(0, len(rates), BLOCK):
+        filters.add(steps, rates[first : first + BLOCK], force[first : first + BLOCK], airspeed)
+    return filters
+
+
+def found(rates: FloatArray, force: FloatArray, airspeed: float = 20.0) -> str:
+    """Return what is wrong with the axes."""
+    axes = evidence(rates, force, airspeed).wrong_axes(DOUBTLESS)
+    return axes[0].problem if axes else NONE
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.2], ids="bias {}".format)
+@pytest.mark.parametrize(
+    ("gyro", "accelerometer", "expected"),
+    [
+        ((1, 1, 1), (1, 1, 1), NONE),
+        ((-1, -1, 1), (-1, -1, 1), BACKWARDS),
+        ((1, -1, -1), (1, 1, 1), BACKWARDS),  # the other convention: backwards in a mirror
+        ((-1, -1, 1), (1, 1, 1), BACKWARDS),
+        ((-1, 1, 1), (1, 1, 1), X_OR_Z),
+        ((1, 1, -1), (1, 1, 1), X_OR_Z),
+        ((1, -1, 1), (1, 1, 1), Y),
+        ((-1, -1, -1), (1, 1, 1), Y),
+        ((-1, 1, -1), (1, 1, 1), NONE),  # the mirror image
+    ],
+)
+def test_turns_show_wrong_signs_beside_a_bias(
+    gyro: tuple[int, int, int], accelerometer: tuple[int, int, int], expected: str, bias: float
+) -> None:
+    rates, force = flown()
+    biased = gyro * rates + bias * np.array([1.0, -1.0, 0.7])
+    assert found(biased, accelerometer * force) == expected
+
+
+def test_the_bias_of_the_gyro_is_found_in_a_minute() -> None:
+    bias = np.array([0.1, -0.2, 0.1])
+    rates, force = (signal[: round(60.0 / TICK)] for signal in flown())
+    assert evidence(rates + bias, force).bias == pytest.approx(bias, abs=0.02)
+    assert not evidence(rates, force).bias.any()
+
+
+def test_a_new_stretch_keeps_the_bias_but_not_the_attitude() -> None:
+    bias = np.array([0.1, -0.2, 0.1])
+    rates, force = (signal[: round(60.0 / TICK)] for signal in flown())
+    filters = evidence(rates + bias, force)
+    before = filters.bias.copy()
+    filters.restart()
+    for forward in (0.0, 2.0, 2.0):  # m/s^2; it looks like a pitch of 11 degrees
+        ahead = np.tile([forward, 0.0, -9.80665], (BLOCK, 1))
+        filters.add(np.full(BLOCK, TICK), np.tile(bias, (BLOCK, 1)), ahead, 20.0)
+    assert filters.bias == pytest.approx(before, abs=0.01)
+
+
+@pytest.mark.parametrize("airspeed", [15.0, 50.0])
+def test_a_biased_gyro_at_rest_shows_no_wrong_axes(airspeed: float) -> None:
+    """On a tail wheel, for five minutes, with the drift of a cheap gyro."""
+    rng, count = np.random.default_rng(1), round(300.0 / TICK)
+    bias = np.array([0.05, -0.05, 0.05]) + np.cumsum(rng.normal(0.0, 1e-4, (count, 3)), axis=0)
+    force = 9.80665 * np.array([math.sin(0.25), 0.0, -math.cos(0.25)])
+    noise = rng.normal(0.0, 0.1, (count, 3))
+    assert found(bias + rng.normal(0.0, 0.01, (count, 3)), force + noise, airspeed) == NONE
+
+
+FLIGHTS = ({"bank": 20.0}, {"bank": 30.0, "gust": 2.0})
+
+
+@pytest.mark.parametrize("flight", FLIGHTS, ids=str)
+def test_an_imu_that_points_backwards_is_named_and_never_usable(flight: dict[str, Any]) -> None:
+    """Gravity does not show it: roll and pitch rate are reversed, and so are ax and ay."""
+    measured = light_measured(36.0, **flight)
+    right, backwards = (identified(measured, imu__rpy=(0.0, 0.0, yaw)) for yaw in (0.0, math.pi))
+    assert not right[0].plausibility.noted
+    assert any(True in e.usable_rows for e in right[1])
+    assert not any(True in e.usable_rows for e in backwards[1])
+    text = backwards[0].plausibility.noted["axes"].text
+    assert text.startswith("the Imu points backwards, or")
+    assert "Add 3.14 to the yaw of imu.rpy" in text
+
+
+def test_a_gyro_axis_of_the_wrong_sign_is_named_and_never_usable() -> None:
+    measured = light_measured(36.0, bank=20.0)
+    reversed_ = replace(measured, rates=measured.rates * [-1.0, 1.0, 1.0])
+    identifier, estimates = identified(reversed_)
+    assert "axis x or axis z of the gyro" in identifier.plausibility.noted["axes"].text
+    assert not any(True in e.usable_rows for e in estimates)
+
+
+@pytest.mark.parametrize("reference", [7.0, 60.0, 200.0])
+def test_a_wrong_reference_airspeed_does_not_blame_the_axes(reference: float) -> None:
+    """The true one is 20 m/s. At ten times of it the filters lose the attitude."""
+    measured = light_measured(40.0, bank=20.0)
+    assert not identified(measured, airspeed__reference=reference)[0].plausibility.noted
+
+
+def test_rotors_fly_backwards_as_well() -> None:
+    measured = light_measured(30.0, bank=20.0)
+    backwards = identified(measured, structure="augmented", imu__rpy=(0.0, 0.0, math.pi))
+    assert not backwards[0].plausibility.noted

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gyro: its bias, and whether it fits the specific force as configured or with reversed axes.
+
+Rotated by the gyro into one attitude, specific force f and gravity g change the velocity v::
+
+    d(R v)/dt = R f + g
+
+An aircraft flies along its longitudinal axis, v = (V, 0, 0), but for the flow angles. For each
+hypothesis an extended Kalman filter, in information form, estimates the direction of gravity and
+the bias of the gyro. Their innovations decide (multiple model estimation; Bar-Shalom, Li and
+Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 11.6).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from uav_ident_ros.identification.frames import attitudes, cross_matrices
+from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.scales import DOUBTLESS, GRAVITY_BAND, LONG_MEMORY, TINY
+from uav_ident_ros.identification.structure import FloatArray
+
+FORCE_SIGMA = GRAVITY_BAND * GRAVITY
+"""Standard deviation of the mean specific force of a block from that of flight along the
+longitudinal axis, m/s^2: the flow angles change as well."""
+
+
+class Hypothesis(NamedTuple):
+    """Axes of the Imu of which the signs are wrong."""
+
+    gyro: tuple[int, int, int]  # Sign of each axis of the gyro
+    ahead: int  # Sign of the airspeed along the longitudinal axis
+    problem: str
+    cure: str
+
+
+HYPOTHESES = (
+    Hypothesis((1, 1, 1), 1, "the axes are as configured", ""),
+    Hypothesis(
+        (1, 1, 1),
+        -1,
+        "the Imu points backwards, or its gyro has other axes than its accelerometer",
+        "Add 3.14 to the yaw of imu.rpy, or publish both in the same axes",
+    ),
+    Hypothesis(
+        (-1, 1, 1),
+        1,
+        "axis x or axis z of the gyro has the wrong sign",
+        "Correct it where the Imu is published (REP-103)",
+    ),
+    Hypothesis(
+        (1, -1, 1),
+        1,
+        "axis y of the gyro has the wrong sign, or all three have",
+        "Correct it where the Imu is published (REP-103)",
+    ),
+)
+"""The configured axes, then those that are compared with them. The mirror image, in which roll and
+yaw rate are reversed, fits as well as each of them: so all wrong signs are covered but these two
+together."""
+
+_SIGNS = np.array([hypothesis.gyro for hypothesis in HYPOTHESES], dtype=float)[:, None]
+_AHEAD = np.array([hypothesis.ahead for hypothesis in HYPOTHESES], dtype=float)[:, None]
+_PRIOR = np.eye(6) / GRAVITY_BAND**2
+"""Information on attitude, rad^-2, and gyro bias, (rad/s)^-2, from the first sample alone. The
+attitude is as sure as its gravity; a bias as large is found in seconds."""
+
+
+class GyroFilters:
+    """Bias of the gyro of an aircraft that flies ahead, and a minute's evidence for wrong axes."""
+
+    def __init__(self) -> None:
+        self._bias: FloatArray = np.zeros((len(HYPOTHESES), 3))
+        # Sums over the blocks: squares of the innovations, in variances, and their number
+        self._squares: FloatArray = np.zeros(len(HYPOTHESES))
+        self._count = 0.0
+        self._information: FloatArray = np.tile(_PRIOR, (len(HYPOTHESES), 1, 1))
+        self._down: FloatArray | None = None  # (h, 3) Unit vectors
+        # Of the rates p, q, r with the configured axes, rad/s; zero until it is significant
+        self.bias: FloatArray = np.zeros(3)
+
+    def restart(self) -> None:
+        """Begin with an unknown attitude; biases and evidence are kept."""
+        self._down = None
+        covariance = np.linalg.inv(self._information)
+        self._information = np.tile(_PRIOR, (len(HYPOTHESES), 1, 1))
+        self._information[:, 3:, 3:] = np.linalg.inv(covariance[:, 3:, 3:])
+
+    def add(
+        self,
+        steps: FloatArray,  # (k,) Durations of the samples, s
+        rates: FloatArray,  # (k, 3) rad/s, FRD
+        force: FloatArray,  # (k, 3) Specific force, m/s^2, FRD
+        airspeed: float,  # True, m/s
+    ) -> None:
+        """Add a block of samples, as long as the path of flight takes to follow the nose."""
+        time, speed = float(steps.sum()), (airspeed * _AHEAD)[..., None]
+        omega = _SIGNS * rates - self._bias[:, None]
+        turns = attitudes(steps, omega)
+        # Specific force less the centripetal acceleration, in the initial axes: minus gravity
+        along = cross_matrices(np.eye(3)[0])
+        upwards = (turns @ (force + speed * (omega @ along.T))[..., None])[..., 0]
+        if self._down is None:
+            self._down = -_unit(upwards.mean(axis=1))
+        # A launch has another force than gravity, whatever the axes: it counts as evidence alone
+        off = np.abs(np.linalg.norm(upwards, axis=2) / GRAVITY - 1.0).min(axis=0)
+        weights = steps / time * np.maximum(0.0, 1.0 - off / GRAVITY_BAND)
+        weight = float(weights.sum())
+        shares = np.stack([steps / time, weights / (weight + TINY)])
+        innovation = np.einsum("sk,hki->shi", shares, upwards) + GRAVITY * self._down
+        # The rotation vector, initial axes, per bias, s
+        lever = np.cumsum(turns * steps[:, None, None], axis=1)
+        by_bias = speed[..., None] * (turns @ along) - cross_matrices(upwards) @ lever
+        by_bias = np.einsum("sk,hkij->shij", shares, by_bias)
+        by_attitude = np.broadcast_to(GRAVITY * cross_matrices(self._down), by_bias.shape)
+        slope = np.concatenate([by_attitude, by_bias], axis=3)
+        self._judge(innovation[0] / FORCE_SIGMA, slope[0] / FORCE_SIGMA, 1.0 - time / LONG_MEMORY)
+        weighted = weight / FORCE_SIGMA**2 * slope[1].swapaxes(1, 2)
+        information = self._information + weighted @ slope[1]
+        error = np.linalg.solve(information, weighted @ innovation[1, ..., None])[..., 0]
+        self._turn(turns[:, -1], lever[:, -1], error, information, time)
+        self.bias = self._significant_bias()
+
+    def _significant_bias(self) -> FloatArray:
+        bias, covariance = self._bias[0], np.linalg.inv(self._information[0])[3:, 3:]
+        # Innovations larger than assumed count by their ratio
+        larger = max(1.0, float(self._squares[0]) / self._count)
+        significant = bias @ np.linalg.solve(covariance, bias) > DOUBTLESS**2 * larger
+        return bias if significant else np.zeros(3)
+
+    def _judge(self, innovation: FloatArray, slope: FloatArray, keep: float) -> None:
+        """Add the squares of the predicted innovations; their sum so far counts by `keep`."""
+        spread = np.linalg.solve(self._information, slope.swapaxes(1, 2))
+        covariance = np.eye(3) + slope @ spread
+        scaled = np.linalg.solve(covariance, innovation[..., None])[..., 0]
+        squares = (innovation * scaled).sum(axis=1) + np.linalg.slogdet(covariance)[1]
+        self._squares = keep * self._squares + squares
+        self._count = keep * self._count + 3.0
+
+    def _turn(
+        self,
+        end: FloatArray,  # (h, 3, 3) Rotation from the axes at the end to the initial ones
+        lever: FloatArray,  # (h, 3, 3) Its integral over time, s
+        error: FloatArray,  # (h, 6) Corrections of attitude, rad, and bias, rad/s
+        information: FloatArray,  # (h, 6, 6)
+        time: float,  # Duration, s
+    ) -> None:
+        """Correct the states, and predict those at the end of the block."""
+        assert self._down is not None
+        down = self._down + np.cross(error[:, :3], self._down)
+        down = down + np.cross((lever @ error[:, 3:, None])[..., 0], down)
+        self._down = _unit((end.swapaxes(1, 2) @ down[..., None])[..., 0])
+        self._bias = self._bias + error[:, 3:]
+        back = np.zeros_like(information)
+        back[:, :3, :3], back[:, :3, 3:], back[:, 3:, 3:] = end, -lever, np.eye(3)
+        fade = time / LONG_MEMORY
+        self._information = (1.0 - fade) * (back.swapaxes(1, 2) @ information @ back)
+        self._information += fade * _PRIOR
+
+    def wrong_axes(self, sure: float) -> tuple[Hypothesis, float] | None:
+        """Return the axes that fit better, and by how many sigma, if by more than `sure`."""
+        best = int(np.argmin(self._squares))
+        fits = self._squares[best] < self._count  # Else the filters have lost the attitude
+        if best == 0 or not fits:
+            return None
+        # Likelihood ratio; innovations larger than assumed count by their ratio
+        configured, other = self._count + self._squares[[0, best]]
+        sigma = float(np.sqrt(self._count * np.log(configured / other)))
+        return (HYPOTHESES[best], sigma) if sigma > sure else None
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
