@@ -48,6 +48,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "test_gates.py",
         "test_supervision.py",
         "test_estimators.py",
+        "test_flow.py",
     ),
     "settings": ("test_settings.py", "test_injected.py"),
     "identifier": ("test_model.py", "test_estimators.py", "test_resume.py"),
@@ -65,7 +66,7 @@ GIVEN = {
     "rounding": {"ROUNDING"},
     "mathematics": {
         "DOUBLET_PEAK", "EULER_LIMIT", "EXTRA", "FAILED_PREDICTION", "FEWEST_BLOCKS",
-        "LARGEST_ANGLE", "LARGEST_DEFLECTION", "ORDER", "PASSED", "REVERSED",
+        "HYPOTHESES", "LARGEST_ANGLE", "LARGEST_DEFLECTION", "ORDER", "PASSED", "REVERSED",
     },
     "rigid bodies": {"PRODUCT_SIGMA"},
     "the definition of a wrong derivative, off by half": {"OTHER_EFFECTS"},
