@@ -97,6 +97,21 @@ def test_the_attitude_is_corrected_for_a_gyro_bias() -> None:
     assert np.abs(attitude).max() > math.radians(1.0)
 
 
+def test_a_bias_found_realigns_the_attitude_and_begins_a_new_stretch() -> None:
+    """Until then it has drifted by half a radian."""
+    _, x, force = turn(0.3, 60.0, 0.04)
+    own, errors, begun = observer(), [], []
+    inputs, biased = np.zeros((len(x) - 1, 4)), x + np.array([0.1, -0.1, 0.0])
+    for block in blocks(biased, inputs, 0.04, force, cells=10):
+        done = own.follow(block, first_values(FLIGHT), None)
+        begun.append(done.restarted)
+        errors.append(abs(own.attitude[0] - 0.3))
+    found = begun.index(True, 1)
+    assert sum(begun) == 2  # the flight's and the one then
+    assert max(errors[:found]) > 0.5
+    assert max(errors[found:]) < 0.12
+
+
 def test_the_observer_starts_at_the_attitude_of_the_first_samples() -> None:
     roll, pitch = 0.5, -0.3
     level = math.cos(pitch)

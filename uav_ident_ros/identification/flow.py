@@ -93,8 +93,11 @@ class FlowObserver:
         self._bias: Vector = (0.0, 0.0, 0.0)
         self._speed = reference
         self.gyro = GyroFilters()
-        # Steps that it has not seen: durations, s, rates, rad/s, and specific forces, m/s^2
+        # Whether the attitude was replaced after the last block: it had drifted with a gyro bias
+        self.realigned = False
+        # Steps that `gyro` has not seen: durations, s, rates, rad/s, and specific forces, m/s^2
         self._steps: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+        self._steps_time = 0.0  # s
 
     @property
     def attitude(self) -> tuple[float, float]:
@@ -136,11 +139,10 @@ class FlowObserver:
         samples = np.concatenate((rates, plan.cell_means @ block.u, force), axis=1).tolist()
         if block.restarted:
             self._steps.clear()
+            self._steps_time = 0.0
             self.gyro.restart()
-        bias = self.gyro.bias
-        unbiased = (rates - bias).tolist()
-        if bias.any():  # What was integrated before is in it
-            self._bias = (0.0, 0.0, 0.0)
+        unbiased = (rates - self.gyro.bias).tolist()
+        slow = 0.0 if self.gyro.found else 0.25 * ATTITUDE_GAIN
         a = coefficients.tolist()
         missing = [(a[rows.kinematics][_ROLL], a[rows.kinematics][_BIAS]) for rows in self._rows]
         forces: list[Force] = [
@@ -156,7 +158,7 @@ class FlowObserver:
             (p, q, r), (gx, gy, gz), (bx, by, bz) = turn, self.down, self._bias
             gain = ATTITUDE_GAIN * weight
             ex, ey, ez = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
-            integral = 0.25 * ATTITUDE_GAIN * gain * dt  # critically damped
+            integral = slow * gain * dt  # critically damped
             bx, by, bz = self._bias = (bx - integral * ex, by - integral * ey, bz - integral * ez)
             wx, wy, wz = p - bx + gain * ex, q - by + gain * ey, r - bz + gain * ez
             x = gx - dt * (wy * gz - wz * gy)
@@ -175,21 +177,29 @@ class FlowObserver:
                 aim = measured[k] + (rate + by_p * p + bias) / self._rate
                 self.angles[k] = aim + keep * (self.angles[k] - aim)
             edges.append((*self.angles, *self.down))
-        self._find_bias(np.array(plan.times), rates, force, v)
         states = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
-        return replace(block, flow=states, airspeed=v)
+        restarted = block.restarted or self.realigned
+        self._find_bias(np.array(plan.times), rates, force, v)
+        return replace(block, flow=states, airspeed=v, restarted=restarted)
 
     def _find_bias(
         self, times: FloatArray, rates: FloatArray, force: FloatArray, airspeed: float
     ) -> None:
-        """Pass the steps on when they have the length of a response."""
+        """Pass the steps on when they have the length of a response, and use a bias found."""
+        self.realigned = False
         if not force.any():  # No accelerometer
             return
         self._steps.append((times, rates, force))
-        if sum(float(own[0].sum()) for own in self._steps) >= RESPONSE_TIME:
-            times, rates, force = map(np.concatenate, zip(*self._steps, strict=True))
-            self._steps.clear()
-            self.gyro.add(times, rates, force, airspeed)
+        self._steps_time += float(times.sum())
+        if self._steps_time < RESPONSE_TIME:
+            return
+        times, rates, force = map(np.concatenate, zip(*self._steps, strict=True))
+        self._steps, self._steps_time, known = [], 0.0, self.gyro.found
+        self.gyro.add(times, rates, force, airspeed)
+        self.realigned = self.gyro.found and not known
+        if self.realigned:
+            x, y, z = self.gyro.down.tolist()
+            self.down, self._bias = (x, y, z), (0.0, 0.0, 0.0)
 
     def _restart(
         self, sample: list[float], rates: list[float], forces: list[Force], v: float

@@ -78,8 +78,13 @@ class GyroFilters:
         self._count = 0.0
         self._information: FloatArray = np.tile(_PRIOR, (len(HYPOTHESES), 1, 1))
         self._down: FloatArray | None = None  # (h, 3) Unit vectors
-        # Of the rates p, q, r with the configured axes, rad/s; zero until it is significant
-        self.bias: FloatArray = np.zeros(3)
+        self.found = False  # Whether the bias with the configured axes has been significant
+
+    @property
+    def down(self) -> FloatArray:
+        """Unit vector that points down at the end of the last block, configured axes, (3,)."""
+        assert self._down is not None
+        return np.asarray(self._down[0])
 
     def restart(self) -> None:
         """Begin with an unknown attitude; biases and evidence are kept."""
@@ -121,14 +126,18 @@ class GyroFilters:
         information = self._information + weighted @ slope[1]
         error = np.linalg.solve(information, weighted @ innovation[1, ..., None])[..., 0]
         self._turn(turns[:, -1], lever[:, -1], error, information, time)
-        self.bias = self._significant_bias()
+        self.found = self.found or self._is_significant()
 
-    def _significant_bias(self) -> FloatArray:
+    @property
+    def bias(self) -> FloatArray:
+        """Bias of the rates p, q, r with the configured axes, rad/s, (3,); zero until found."""
+        return np.asarray(self._bias[0] * self.found)
+
+    def _is_significant(self) -> bool:
         bias, covariance = self._bias[0], np.linalg.inv(self._information[0])[3:, 3:]
         # Innovations larger than assumed count by their ratio
         larger = max(1.0, float(self._squares[0]) / self._count)
-        significant = bias @ np.linalg.solve(covariance, bias) > DOUBTLESS**2 * larger
-        return bias if significant else np.zeros(3)
+        return bool(bias @ np.linalg.solve(covariance, bias) > DOUBTLESS**2 * larger)
 
     def _judge(self, innovation: FloatArray, slope: FloatArray, keep: float) -> None:
         """Add the squares of the predicted innovations; their sum so far counts by `keep`."""

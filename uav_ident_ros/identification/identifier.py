@@ -58,6 +58,7 @@ from uav_ident_ros.identification.structure import (
     MAIN_DERIVATIVES,
     ROWS,
     STRUCTURES,
+    BoolArray,
     FloatArray,
 )
 from uav_ident_ros.identification.supervision import JUDGED_FROM, RunningFit, State, Supervisor
@@ -185,6 +186,7 @@ class OnlineIdentifier:
         self.intake = Intake(settings, self.restart)
         self.supervisor = Supervisor(settings, self.structure, gates)
         self._fresh: SecondEstimator[Estimator] | None = None
+        self._drifted = False  # Whether samples with a wrong attitude, by a gyro bias, were used
         self.reset()
 
     def reset(self) -> None:
@@ -283,6 +285,7 @@ class OnlineIdentifier:
         self.intake.fault = ""
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = self.idle = 0.0
+        self._drifted = False
         self.restart()
 
     def _is_warm(self) -> bool:
@@ -507,6 +510,8 @@ class OnlineIdentifier:
             now = self._flown
             if self._flow is not None:
                 block = self._flow.follow(block, now, speed.newest)
+                if self._flow.realigned:
+                    self._drifted, self._fresh = True, None
             states, injected = self._parallel.follow(block, now, leak)
             flags = speed.known and not gates.closed, not gates.unreadable, injected
             parts = self._parts
@@ -544,7 +549,7 @@ class OnlineIdentifier:
         self.idle = 0.0
         estimator, supervisor = self.estimator, self.supervisor
         if not self._learned_time:  # the information was discarded
-            self._fresh = None
+            self._drifted, self._fresh = False, None
         self._learned_time += samples.time
         if self.settings.supervision.plausibility and not self._as_paper:
             self.plausibility.exchanged.add(samples)
@@ -569,38 +574,53 @@ class OnlineIdentifier:
             self._warm = self._is_warm()
 
     def _try_fresh_start(self, samples: Regression) -> None:
-        """Replace an unsuccessful cold start if a fresh estimator determines more derivatives."""
+        """Replace the estimator, where it is due, by a fresh one that determines more derivatives.
 
-        def identifies(estimator: Estimator, t_ratio: float) -> bool:
-            """Whether a free main control derivative is known."""
+        It is due for an unsuccessful cold start, and once the attitude is known to have drifted
+        with a gyro bias. A wrong attitude biases the effects of the flow angles: a fresh estimator
+        then needs to determine no more main control derivatives, but as many.
+        """
+
+        def identified(estimator: Estimator, t_ratio: float) -> BoolArray:
+            """Return which free main control derivatives are known, (3,)."""
             found = estimator.coefficients, estimator.sigma, estimator.sure_error
             free = estimator.sigma[MAIN_DERIVATIVES] > 0.0
-            return bool((free & known_inputs(*found, t_ratio)).any())
+            return np.asarray(free & known_inputs(*found, t_ratio))
 
         needless = self._warm or self._as_paper or self.supervisor.proven
-        if needless or identifies(self.estimator, SURE):
+        if not self._drifted and (needless or identified(self.estimator, SURE).any()):
             self._fresh = None
             return
-        fresh = self._fresh or SecondEstimator(self._cold_estimator())
+        fresh = self._fresh or SecondEstimator(self._new_estimator())
         if fresh.estimator is self.estimator:  # a single estimator was passed in
             return
         self._fresh = fresh
         fresh.add(samples, np.ones(3))
         if fresh.time < JUDGED_FROM:
             return
-        identified = identifies(fresh.estimator, self.settings.supervision.min_t_ratio)
+        needed = self.settings.supervision.min_t_ratio
+        found = identified(fresh.estimator, needed)
+        if self._drifted:
+            if (identified(self.estimator, needed) & ~found).any():
+                return
+            self._adopt(fresh)
         # A wrong setting makes derivatives unknown, for the fresh estimator as well.
-        if identified and not any(self.setup_doubts):
+        elif found.any() and not any(self.setup_doubts):
             # Results from the time before belong to another state of the aircraft.
-            self.estimator, self._learned_time = fresh.estimator, fresh.time
+            self._adopt(fresh)
             self.delays = DelayBank(self.settings.actuators.longest_delay, self.lag)
-            self.running_fit.forget()
             self.supervisor.reset()
         self._fresh = None
 
-    def _cold_estimator(self) -> Estimator:
-        """Return an estimator without flight data."""
-        start = self._start.weakened(self.structure)
+    def _adopt(self, fresh: SecondEstimator[Estimator]) -> None:
+        """Use a fresh estimator from now on."""
+        self.estimator, self._learned_time = fresh.estimator, fresh.time
+        self._drifted = False
+        self.running_fit.forget()
+
+    def _new_estimator(self) -> Estimator:
+        """Return an estimator without flight data; after a cold start it has weak priors."""
+        start = self.estimator.start if self._drifted else self._start.weakened(self.structure)
         if self._has_accelerometer is False:
             start = without_flow(start, self.structure)
         return self._make_estimator(self.settings, start)
