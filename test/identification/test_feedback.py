@@ -122,6 +122,18 @@ def test_an_effective_input_with_excitation_and_answers_has_a_share(seed: int) -
     assert strong == weak > 0.2
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_effect_that_the_structure_does_not_have_is_no_answer(seed: int) -> None:
+    """With an Imu turned in yaw the aileron pitches: the residual repeats its past."""
+    samples, gusts = fly(0.0, 0.01, seed=seed)
+    residual, response, keep = 0.1 * gusts, 0.0, np.exp(-DT / 0.3)
+    residual[:, 1] = 0.1 * np.random.default_rng(seed).normal(size=len(gusts))
+    for k, aileron in enumerate(samples.f[:, AILERON].tolist()):
+        response = keep * response + (1.0 - keep) * aileron
+        residual[k, 1] += 10.0 * (aileron - response)
+    assert not detect_feedback(samples, residual, effect=TRUE).share.any()
+
+
 def answers(*by: float) -> np.ndarray:
     """Return the weights of the instruments by `Sums.answers`, where the aileron answers."""
     follows = LAYOUT.index == AILERON

@@ -136,18 +136,20 @@ class Feedback:
 
     No loop answers a gust with more motion than the gust makes. A share that would do so may be
     chance, since both signals are slow, or the error of a poor model. It counts only if past
-    residuals also improve on the prediction from the input's own past (Granger, Econometrica 37,
-    1969).
+    residuals also improve on the prediction from the past of all inputs (Granger, Econometrica 37,
+    1969). Effects that the structure does not have are in the residual, as with a turned Imu: it
+    then repeats that past.
     """
 
     def __init__(self, layout: Layout) -> None:
         self._driven_by = layout.driven_by
-        self._past: FloatArray = np.zeros((len(ANSWER_TIMES), len(ROWS)))
-        self._answers = self._past.size + 1  # and the constant
+        # Fading sums of past residuals and inputs
+        self._past: FloatArray = np.zeros((len(ANSWER_TIMES), len(ROWS) + len(INPUTS)))
+        self._answers = len(ANSWER_TIMES) * len(ROWS) + 1  # Past residuals, and the constant
         self._inputs = slice(self._answers, self._answers + len(INPUTS))
         self._gusts = slice(self._inputs.stop, self._inputs.stop + len(ROWS))
         self._before: FloatArray = np.zeros((ORDER, len(INPUTS)))  # The newest last
-        size = self._gusts.stop + self._before.size
+        size = self._gusts.stop + self._before.size + len(ANSWER_TIMES) * len(INPUTS)
         self._products: FloatArray = np.zeros((size, size))
         self._gathered: list[tuple[Regression, FloatArray, float]] = []
         self._since_look = 0.0
@@ -179,7 +181,7 @@ class Feedback:
             return
         self._since_look = 0.0
         gathered, self._gathered = self._gathered, []
-        signals = np.ones((sum(len(own) for _, own, _ in gathered), len(self._products)))
+        signals = np.empty((sum(len(own) for _, own, _ in gathered), len(self._products)))
         shares, first = np.empty((len(signals), 1)), 0
         for part, own, counted in gathered:
             if part.restarted:
@@ -190,12 +192,17 @@ class Feedback:
             last = first + m
             inputs = np.concatenate((self._before, part.f[:, INPUT_COLUMNS]))
             self._before = inputs[-ORDER:]
-            # The inputs, the residuals, and the inputs before
             now, *lagged = inputs[_lags(m)]
-            signals[first:last, self._inputs.start :] = np.hstack((now, own, *lagged))
-            for k in range(first, last):
-                signals[k, : self._past.size] = self._past.ravel()
-                self._past = keep * self._past + own[k - first]
+            moved, past = np.hstack((own, now)), np.empty((m, *self._past.shape))
+            for k in range(m):
+                past[k] = self._past
+                self._past = keep * self._past + moved[k]
+            answered, commanded = (
+                part.reshape(m, -1) for part in np.split(past, [len(ROWS)], axis=2)
+            )
+            signals[first:last] = np.hstack(
+                (answered, np.ones((m, 1)), now, own, *lagged, commanded)
+            )
             fade = np.exp(-counted * m / LONG_MEMORY)
             self._products *= fade
             shares[:first] *= fade
@@ -236,11 +243,11 @@ class Feedback:
     def _predicted_share(self, covariance: FloatArray, i: int) -> float:
         """Return the share of an input's innovation that past residuals predict.
 
-        The innovation is the error of the prediction from the input's own past.
+        The innovation is the error of the prediction from the past of all inputs.
         """
-        at, past = self._inputs.start + i, np.arange(self._past.size)
-        own = self._gusts.stop + i + len(INPUTS) * np.arange(ORDER)
-        new, left = (_unexplained(covariance, at, by) for by in (own, np.append(own, past)))
+        at, past = self._inputs.start + i, np.arange(self._answers - 1)
+        inputs = np.arange(self._gusts.stop, len(covariance))
+        new, left = (_unexplained(covariance, at, by) for by in (inputs, np.append(inputs, past)))
         return 1.0 - left / new if new > TINY else 0.0
 
 
