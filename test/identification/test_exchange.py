@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.identification.exchange import ExchangedInputs
-from uav_ident_ros.identification.plausibility import exchange_finding
+from uav_ident_ros.identification.frames import rotation
+from uav_ident_ros.identification.plausibility import exchange_finding, turn_finding
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.scales import SURE
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES
+from uav_ident_ros.identification.settings import ImuSettings
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, STRUCTURES, FloatArray
 
 DT, TIME = 0.05, 5.0
 SIZE = STRUCTURES["augmented"].size
@@ -25,20 +27,22 @@ def exchanged(
     still: tuple[int, ...] = (),  # Inputs that do not move
     size: int = SIZE,  # Regressors of the structure
     seed: int = 1,
+    effects: FloatArray = EFFECT,
+    seconds: float = TIME,
 ) -> ExchangedInputs:
     """Return the effects in five seconds of excitation with independent disturbances."""
     rng = np.random.default_rng(seed)
-    u = 0.05 * rng.standard_normal((round(TIME / DT), 4))
+    u = 0.05 * rng.standard_normal((round(seconds / DT), 4))
     u[:, list(still)] = 0.0
-    effect = EFFECT.copy()
+    effect = effects.copy()
     effect[:, list(dead)] = 0.0
     y = u @ effect.T + 0.05 * rng.standard_normal((len(u), 3))
     f = np.zeros((len(u), size))
     f[:, INPUT_COLUMNS] = u[:, order]
-    effects = ExchangedInputs()
+    found = ExchangedInputs()
     for k in range(0, len(u), 4):
-        effects.add(Regression.of(y[k : k + 4], f[k : k + 4], f[k : k + 4], DT))
-    return effects
+        found.add(Regression.of(y[k : k + 4], f[k : k + 4], f[k : k + 4], DT))
+    return found
 
 
 def looked(order: list[int], **given: Any) -> list[tuple[str, str]]:
@@ -84,3 +88,54 @@ def test_exchanged_surfaces_or_motors_are_named() -> None:
     assert found is not None
     assert found.text.startswith("the motors are in another order: dr rolls")
     assert exchange_finding(exchanged([0, 1, 2, 3])) is None
+
+
+# --- an Imu that is turned ------------------------------------------------------------------------
+
+
+MOUNTED = (0.1, -0.2, 0.3)
+"""Roll, pitch and yaw of an Imu's mounting, rad."""
+
+
+def turned(roll: float, yaw: float, effects: FloatArray = EFFECT, **given: Any) -> ExchangedInputs:
+    """Return the effects seen by an Imu that is turned out of place, angles in degrees."""
+    out = rotation(np.radians(roll), 0.0, np.radians(yaw))
+    return exchanged([0, 1, 2, 3], effects=out @ effects, seconds=20.0, **given)
+
+
+@pytest.mark.parametrize(("roll", "yaw"), [(5.0, 0.0), (0.0, -5.0), (-8.0, 6.0)])
+def test_a_turn_of_the_imu_is_found_from_effects_on_other_axes(roll: float, yaw: float) -> None:
+    found = turned(roll, yaw).turned(SURE)
+    assert found is not None
+    assert np.degrees(found) == pytest.approx([-roll, -yaw], abs=1.0)
+
+
+def test_straight_imus_are_not_turned() -> None:
+    assert [turned(0.0, 0.0, seed=seed).turned(SURE) for seed in range(20)] == [None] * 20
+    assert ExchangedInputs().turned(0.0) is None
+
+
+@pytest.mark.parametrize("still", [(1, 2), (0, 1, 2, 3)])
+def test_a_turn_needs_inputs_that_move(still: tuple[int, ...]) -> None:
+    assert turned(0.0, 0.0, still=still).turned(SURE) is None
+
+
+@pytest.mark.parametrize("place", [(1, 2), (1, 1), (2, 0)])
+def test_an_aircraft_that_is_not_symmetric_is_not_turned(place: tuple[int, int]) -> None:
+    """Ailerons or rudder that pitch it, or an elevator that yaws it, alone."""
+    effects = EFFECT.copy()
+    effects[place] = 6.0
+    assert turned(0.0, 0.0, effects).turned(SURE) is None
+
+
+def test_the_mounting_that_would_fit_is_named() -> None:
+    """A turn of -5 deg in roll of an Imu that is mounted with other angles."""
+    found = turn_finding(turned(5.0, 0.0), ImuSettings(rpy=MOUNTED))
+    assert found is not None
+    assert not found.fault
+    assert found.text.startswith(
+        "the Imu seems turned against the aircraft, by -5 deg in roll: the"
+    )
+    named = [float(part) for part in found.text.split("[")[1].rstrip("]").split(", ")]
+    right = rotation(np.radians(-5.0), 0.0, 0.0) @ rotation(*MOUNTED)
+    np.testing.assert_allclose(rotation(*named), right, atol=0.02)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inputs that are exchanged: each acts on the axis of another one.
+"""Inputs that act on the axis of another one: exchanged, or seen by an Imu that is turned.
 
 An aircraft is symmetric. Its elevator neither rolls nor yaws it, its ailerons and its rudder do not
 pitch it, and the structures have no coefficient for that. With exchanged channels the main control
@@ -13,8 +13,14 @@ from statistics import NormalDist
 
 import numpy as np
 
-from uav_ident_ros.identification.regression import Regression
-from uav_ident_ros.identification.scales import INDEPENDENT_TIME, MEMORY, ROUNDING, TINY
+from uav_ident_ros.identification.regression import Regression, diagonal
+from uav_ident_ros.identification.scales import (
+    INDEPENDENT_TIME,
+    LONG_MEMORY,
+    OUTLYING,
+    ROUNDING,
+    TINY,
+)
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     LAST_COLUMNS,
@@ -22,6 +28,7 @@ from uav_ident_ros.identification.structure import (
     MAIN_INPUTS,
     RATE_COLUMNS,
     ROWS,
+    FloatArray,
 )
 
 REGRESSORS = np.r_[RATE_COLUMNS, INPUT_COLUMNS, LAST_COLUMNS].tolist()
@@ -48,7 +55,7 @@ class ExchangedInputs:
         signals[:, : len(there)] = samples.f[:, there]
         signals[:, len(there) : len(REGRESSORS)] = 0.0
         signals[:, -len(ROWS) :] = samples.y[:, : len(ROWS)]
-        keep = np.exp(-samples.time / MEMORY)
+        keep = np.exp(-samples.time / LONG_MEMORY)
         self._sums = keep * self._sums + samples.dt * signals.T @ signals
         self._samples = keep * self._samples + len(signals)
         if self._samples > len(self._sums):
@@ -74,6 +81,32 @@ class ExchangedInputs:
             if sorted(acts[exchanged].tolist()) == exchanged.tolist() and len(exchanged) == count:
                 return [(names[acts[i]], names[i]) for i in exchanged.tolist()]
         return []
+
+    def turned(self, sure: float) -> FloatArray | None:
+        """Return the angles about the roll and yaw axes that turn the Imu into place, rad, (2,).
+
+        An angle that is not significant is 0; None if neither is. An Imu turned by the rotation
+        vector -t shows the effect e of an input as ``e - t x e``: four effects that a symmetric
+        aircraft does not have. They must agree on t, for no aircraft is quite symmetric.
+        """
+        sigma = self._sigma[[0, 2, 1, 1], [1, 1, 0, 2]]
+        least = float(sigma.min())
+        if not 0.0 < least < np.inf:  # Not solved yet, or no input has moved
+            return None
+        (l_a, l_e, l_r), (m_a, m_e, m_r), (n_a, n_e, n_r) = self._effect
+        by_turn = np.array([[0.0, m_e], [-m_e, 0.0], [n_a, -l_a], [n_r, -l_r]])
+        weights = least / sigma
+        slope, shown = weights[:, None] * by_turn, weights * [l_e, n_e, m_a, m_r]
+        if np.square(shown).sum() <= (sure * least) ** 2:  # Nearly always: no angle exceeds it
+            return None
+        information = slope.T @ slope
+        if np.linalg.cond(information) > 1.0 / ROUNDING:  # Too few inputs have moved
+            return None
+        turn = np.linalg.solve(information, slope.T @ shown)
+        spread = least * np.sqrt(diagonal(np.linalg.inv(information)))
+        significant = np.abs(turn) > sure * spread
+        agree = np.square(shown - slope @ turn).sum() < OUTLYING * least**2
+        return np.where(significant, turn, 0.0) if significant.any() and agree else None
 
     def _solve(self) -> None:
         """Solve for the effects and their standard deviations.

@@ -25,6 +25,12 @@ def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
     )
 
 
+def euler_angles(matrix: FloatArray) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw, rad, of a rotation matrix as by `rotation`."""
+    roll, yaw = np.arctan2(matrix[2, 1], matrix[2, 2]), np.arctan2(matrix[1, 0], matrix[0, 0])
+    return float(roll), float(-np.arcsin(np.clip(matrix[2, 0], -1.0, 1.0))), float(yaw)
+
+
 class BodyFrame:
     """Rotation of vectors between the Imu's own axes and the body axes FRD."""
 

@@ -19,7 +19,13 @@ import numpy as np
 
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.exchange import ExchangedInputs
-from uav_ident_ros.identification.frames import BodyFrame, attitudes
+from uav_ident_ros.identification.frames import (
+    BodyFrame,
+    attitudes,
+    euler_angles,
+    rotation,
+    rotations,
+)
 from uav_ident_ros.identification.gates import TickMeans
 from uav_ident_ros.identification.gyro import GyroFilters
 from uav_ident_ros.identification.linearisation import damping
@@ -35,7 +41,7 @@ from uav_ident_ros.identification.scales import (
     SAMPLE_TIME,
     SURE,
 )
-from uav_ident_ros.identification.settings import Settings
+from uav_ident_ros.identification.settings import ImuSettings, Settings
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
@@ -194,6 +200,8 @@ class Plausibility:
                 or (axes_finding(gyro, share * DOUBTLESS) if gyro else None)
             )
 
+        if turned := turn_finding(self.exchanged, self._imu):
+            self.note(self._now, turned)
         found, before = find(), self.doubt
         if found is None:
             likely = before and find(share=0.0)
@@ -461,6 +469,31 @@ def exchange_finding(
     return Finding(
         "swapped",
         f"{what}: {evidence}; exchange them in actuators.channels or actuators.mixing",
+    )
+
+
+def turn_finding(
+    exchanged: ExchangedInputs,
+    imu: ImuSettings,
+    sure: float = SURE,  # Significance level, in standard deviations
+) -> Finding | None:
+    """Return a warning if inputs act on each other's axes as with an Imu that is turned."""
+    if (turn := exchanged.turned(sure)) is None:
+        return None
+    roll, yaw = turn.tolist()
+    angles = [
+        f"{math.degrees(angle):+.0f} deg in {axis}"
+        for angle, axis in ((roll, "roll"), (yaw, "yaw"))
+        if angle
+    ]
+    right = euler_angles(rotations(np.array([roll, 0.0, yaw])) @ rotation(*imu.rpy))
+    rpy = ", ".join(f"{round(angle, 2) + 0.0:.2f}" for angle in right)  # Without -0.00
+    return Finding(
+        "turned",
+        f"the Imu seems turned against the aircraft, by {' and '.join(angles)}: the elevator rolls "
+        "or yaws it, or aileron and rudder pitch it. Mount it straight, or set imu.rpy to "
+        f"[{rpy}]",
+        fault=False,
     )
 
 
