@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """A flight after carrying the aircraft with moving surfaces: learning begins anew in the air."""
 
+from dataclasses import replace
 from typing import Any
 
 import flying
 import numpy as np
 import pytest
 from light_aircraft import TRUTH
-from verdict_flights import carried
+from verdict_flights import SENSORS, SHORT, Series, carried
 
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.estimators.model_error import known_inputs
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import Measurements
 
 CARRIED = 20.0
 """Time of carrying before the launch, s."""
@@ -58,6 +60,16 @@ def test_after_a_gyro_bias_is_found_the_effects_of_the_flow_angles_are_learned_a
     for name in ("pdot/beta", "rdot/beta", "rdot/r"):
         place = FLIGHT.index(name)
         assert last.coefficients[place] == pytest.approx(TRUTH[name], rel=0.12), name
+
+
+def test_after_a_gyro_bias_is_found_the_delay_is_judged_anew() -> None:
+    """Predictions with the wrong attitude made the inputs look 18 ms late."""
+    sensors = replace(SENSORS, gyro_bias=(0.2, -0.2, 0.14))
+    trial = Series("", 1, SHORT).trial("light_aircraft", "", bank=20.0, wind=0.3, sensors=sensors)
+    flown = trial.fly()
+    assert isinstance(flown, Measurements)
+    estimates = flying.run(OnlineIdentifier(flying.settings(flown)), flying.messages(flown))
+    assert np.mean([e.usable for e in flying.since(estimates, 40.0, 80.0)]) > 0.9
 
 
 def test_after_a_gyro_bias_is_found_what_is_known_stays_until_it_is_known_again() -> None:

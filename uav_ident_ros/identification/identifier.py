@@ -512,6 +512,8 @@ class OnlineIdentifier:
                 block = self._flow.follow(block, now, speed.newest)
                 if self._flow.realigned:
                     self._drifted, self._fresh = True, None
+                    longest = self.settings.actuators.longest_delay
+                    self.delays = DelayBank(longest, self.lag, self.delays)
             states, injected = self._parallel.follow(block, now, leak)
             flags = speed.known and not gates.closed, not gates.unreadable, injected
             parts = self._parts
