@@ -10,17 +10,20 @@ from contextlib import suppress
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import Vector3Stamped
 from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Imu, JointState
 
-from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, History, subscribe
+from uav_ident_ros.client import (
+    Coefficients,
+    CoefficientSource,
+    Fallback,
+    History,
+    answer_rates,
+    subscribe,
+)
 from uav_ident_ros.control import AxisChoice, Effectiveness, IncrementalLaw, Response
 
-FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 LIMITS = np.array([[-0.4, -0.25, -0.25, 0.0], [0.4, 0.25, 0.25, 0.0]])  # de dr da dth, from trim
 DELAY_NS = 20_000_000  # from a sample to the action of its command
 
@@ -40,27 +43,15 @@ class Indi(Node):
         self.response = Response()  # measured response to the inputs
         self.measured = Effectiveness()  # corrects sign and size of an axis's effect
         self.sent: History[tuple[Vector, Vector]] = History()  # inputs and reference
-        self.reference = np.zeros(3)
         self.last_ns = 0
-        self.publisher = self.create_publisher(JointState, "command", 10)
-        self.create_subscription(Vector3Stamped, "rate_reference", self.on_reference, 10)
-        self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
+        answer_rates(self, self.command)
 
-    def on_reference(self, message: Vector3Stamped) -> None:
-        """Store the reference."""
-        self.reference = np.array([message.vector.x, message.vector.y, message.vector.z])
-
-    def on_imu(self, message: Imu) -> None:
-        """Publish the command to a sample."""
-        t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        w = message.angular_velocity
-        x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
-        if not np.isfinite(x - self.reference).all():  # hold the surfaces
-            return
+    def command(self, t_ns: int, x: Vector, reference: Vector) -> Vector:
+        """Return the surfaces to a sample."""
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
-        acting, led = self.sent.at(t_ns - DELAY_NS) or (np.zeros(4), self.reference)
+        acting, led = self.sent.at(t_ns - DELAY_NS) or (np.zeros(4), reference)
         if not 0.0 < dt < 0.1:  # the first sample, or a gap
-            self.law.restart(x, self.reference, acting)
+            self.law.restart(x, reference, acting)
             self.measured.restart()
             self.response.restart()
             dt = 0.0
@@ -69,12 +60,9 @@ class Indi(Node):
         if dt and found.update(x, choice.measured_by, inputs, dt, choice.model, led):
             answered, made = found.answered[0], found.made[0]
             self.measured.update(answered, made, dt, found.demanded, effect.share)
-        u = self.law.update(dt, effect.values, x, self.reference, acting)
-        self.sent.add(t_ns, (u, self.reference))
-        names = ["elevator", "rudder", "aileron"]
-        self.publisher.publish(
-            JointState(header=message.header, name=names, position=u[:3].tolist())
-        )
+        u = self.law.update(dt, effect.values, x, reference, acting)
+        self.sent.add(t_ns, (u, reference))
+        return u[:3]
 
 
 if __name__ == "__main__":

@@ -10,16 +10,19 @@ from contextlib import suppress
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import Vector3Stamped
 from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Imu, JointState
 
-from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback, Refusal, subscribe
+from uav_ident_ros.client import (
+    Coefficients,
+    CoefficientSource,
+    Fallback,
+    Refusal,
+    answer_rates,
+    subscribe,
+)
 
-FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 SURFACES = [0, 1, 2]  # de dr da
 LARGEST = np.array([0.4, 0.25, 0.25])  # of de dr da from trim, rad
 STATE_WEIGHT = np.diag([1.0, 1.0, 1.0]) / 0.1**2  # an error of 0.1 rad/s costs as much ...
@@ -61,14 +64,7 @@ class Lqr(Node):
         self.source = CoefficientSource(Fallback.LAST_GOOD, nominal)
         subscribe(self, self.source)
         self.gain, self.designed_ns = np.zeros((3, 3)), -1
-        self.reference = np.zeros(3)
-        self.publisher = self.create_publisher(JointState, "command", 10)
-        self.create_subscription(Vector3Stamped, "rate_reference", self.on_reference, 10)
-        self.create_subscription(Imu, "imu/data", self.on_imu, qos_profile_sensor_data)
-
-    def on_reference(self, message: Vector3Stamped) -> None:
-        """Store the reference."""
-        self.reference = np.array([message.vector.x, message.vector.y, message.vector.z])
+        answer_rates(self, self.command)
 
     def design(self, t_ns: int) -> None:
         """Compute the gain for the newest coefficients, once a second."""
@@ -83,17 +79,10 @@ class Lqr(Node):
         self.gain = lqr_gain(a[:3, :3], b[:3, SURFACES], STATE_WEIGHT, INPUT_WEIGHT)
         self.designed_ns = t_ns
 
-    def on_imu(self, message: Imu) -> None:
-        """Publish the command to a sample."""
-        t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        w = message.angular_velocity
-        x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
-        if not np.isfinite(x - self.reference).all():  # hold the surfaces
-            return
+    def command(self, t_ns: int, x: Matrix, reference: Matrix) -> Matrix:
+        """Return the surfaces to a sample."""
         self.design(t_ns)
-        u = np.clip(-self.gain @ (x - self.reference), -LARGEST, LARGEST)
-        names = ["elevator", "rudder", "aileron"]
-        self.publisher.publish(JointState(header=message.header, name=names, position=u.tolist()))
+        return np.clip(-self.gain @ (x - reference), -LARGEST, LARGEST)
 
 
 if __name__ == "__main__":

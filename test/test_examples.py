@@ -69,15 +69,18 @@ class Flying:
 
     def __init__(self, node: Any) -> None:
         self.node = node
-        node.publisher = self
+        self.callbacks = {topic.topic_name: topic.callback for topic in node.subscriptions}
+        (commands,) = [topic for topic in node.publishers if topic.topic_name == "/command"]
+        commands.publish = self.publish
 
     def publish(self, message: JointState) -> None:
+        assert list(message.name) == ["elevator", "rudder", "aileron"]
         self.u = np.append(message.position, 0.0)
 
     def update(self, t_ns: int, x: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         p, q, r = wanted.tolist()
-        self.node.on_reference(Vector3Stamped(vector=Vector3(x=p, y=q, z=r)))
-        self.node.on_imu(sample(t_ns, x))
+        self.callbacks["/rate_reference"](Vector3Stamped(vector=Vector3(x=p, y=q, z=r)))
+        self.callbacks["/imu/data"](sample(t_ns, x))
         return self.u
 
 
@@ -98,6 +101,8 @@ def test_each_controller_follows_a_reference(ros: None, name: str, node: str, er
     flying = Flying(getattr(load(name), node)())
     flying.node.source.add(coefficients())  # includes the flow angles
     np.testing.assert_allclose(flown(flying, reference=REFERENCE)[-1], REFERENCE, atol=error)
+    held = flying.u
+    assert flying.update(START, np.array([np.nan, 0.0, 0.0]), REFERENCE) is held
     flying.node.destroy_node()
 
 

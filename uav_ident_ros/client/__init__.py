@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Client for controllers: the identified model, from the coefficients that `identifier` publishes.
 
-The client has no estimator, and only `subscribe` needs ROS. In a node::
+The client has no estimator, and only the functions that take a node need ROS. In a node::
 
     from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
 
@@ -16,7 +16,7 @@ from uav_ident_ros.client.coefficients import Coefficients, MessageError
 from uav_ident_ros.client.excitation import Excitation
 from uav_ident_ros.client.model import AttitudeModel, Inversion, Refusal
 from uav_ident_ros.client.source import CoefficientSource, Fallback, History
-from uav_ident_ros.client.subscription import subscribe, subscribe_excitation
+from uav_ident_ros.client.subscription import answer_rates, subscribe, subscribe_excitation
 
 __all__ = [
     "AttitudeModel",
@@ -28,6 +28,7 @@ __all__ = [
     "Inversion",
     "MessageError",
     "Refusal",
+    "answer_rates",
     "subscribe",
     "subscribe_excitation",
 ]

@@ -4,9 +4,12 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from uav_ident_ros.client.coefficients import Coefficients, MessageError
 from uav_ident_ros.client.excitation import Excitation
 from uav_ident_ros.client.source import CoefficientSource
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import header_ns
 
 TOPIC = "identifier/coefficients_named"
@@ -17,6 +20,11 @@ EXCITATION_TOPIC = "identifier/excitation"
 
 DEPTH = 10
 """Depth of the queue: it holds the ticks of a burst after a pause."""
+
+SURFACES = ("elevator", "rudder", "aileron")
+"""Names in a command."""
+
+FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 
 
 def subscribe(
@@ -53,3 +61,34 @@ def subscribe_excitation(node: Any, excitation: Excitation, topic: str = EXCITAT
         excitation.add(header_ns(message), list(message.name), list(message.position))
 
     return node.create_subscription(JointState, topic, take, DEPTH)
+
+
+def answer_rates(
+    node: Any,  # rclpy's node, the owner of subscriptions and publisher
+    # From stamp, ns, and p, q, r and their reference, rad/s, FRD, to the three surfaces, rad
+    law: Callable[[int, FloatArray, FloatArray], FloatArray],
+) -> None:
+    """Answer each Imu on ``imu/data`` on ``command``, to the newest ``rate_reference``.
+
+    A sample that is not finite gets no answer: the surfaces stay where they are.
+    """
+    from geometry_msgs.msg import Vector3Stamped
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import Imu, JointState
+
+    reference = np.zeros(3)
+    commands = node.create_publisher(JointState, "command", DEPTH)
+
+    def store(message: Vector3Stamped) -> None:
+        vector = message.vector
+        reference[:] = vector.x, vector.y, vector.z
+
+    def answer(message: Imu) -> None:
+        w = message.angular_velocity
+        x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
+        if np.isfinite(x - reference).all():
+            u = law(header_ns(message), x, reference.copy())
+            commands.publish(JointState(header=message.header, name=SURFACES, position=u.tolist()))
+
+    node.create_subscription(Vector3Stamped, "rate_reference", store, DEPTH)
+    node.create_subscription(Imu, "imu/data", answer, qos_profile_sensor_data)
