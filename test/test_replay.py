@@ -5,6 +5,7 @@ import itertools
 import math
 import os
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -435,6 +436,7 @@ BAD_INPUT = [
     ("--node /b --params-file other.yaml", "", "nothing for node '/b'"),
     ("--output text.txt", "", "cannot write into 'text.txt': Not a directory"),
     ("--output text.txt/results", "", "cannot write into 'text.txt/results': Not a directory"),
+    ("''", "", "argument BAG: the path is empty"),
     ("--output kept", "", "'kept/estimates' exists and is no bag: it is left alone"),
     ("--nonsense", "", "unrecognized arguments: --nonsense"),
     ("--jobs 0", "", "'0' is not a number from 1 on"),
@@ -468,7 +470,7 @@ def test_bad_input_is_refused_in_one_line_with_status_2(
     for name in ("estimates.mcap", "notes.txt"):
         (kept / name).touch()
     monkeypatch.setattr(OfflineRun, "score", None)  # every refusal comes before the work is done
-    given = [str(short), *options.split()]
+    given = [str(short), *shlex.split(options)]
     if line:
         Path("params.yaml").write_text(f"/**:\n  ros__parameters:\n    {line}\n")
         given += ["--params-file", "params.yaml"]

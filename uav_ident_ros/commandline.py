@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import NoReturn, TypeVar
 
 USAGE_ERROR = 2
@@ -114,6 +115,13 @@ def number(
         raise argparse.ArgumentTypeError(f"'{text}'{suffix}")
 
     return read
+
+
+def given_path(text: str) -> Path:
+    """Return the path of an argument, which names one: `Path` reads an empty text as the folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("the path is empty")
+    return Path(text)
 
 
 def end_as_on_ctrl_c() -> None:

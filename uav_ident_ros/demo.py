@@ -15,7 +15,13 @@ import time
 from pathlib import Path
 
 from uav_ident_ros.bags.reading import Bag, Message
-from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, end_as_on_ctrl_c, number
+from uav_ident_ros.commandline import (
+    USAGE_ERROR,
+    OneLineParser,
+    end_as_on_ctrl_c,
+    given_path,
+    number,
+)
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import ACTUATORS, import_type
@@ -69,11 +75,11 @@ def parser() -> argparse.ArgumentParser:
         "leave its picture and report.",
     )
     result.add_argument(
-        "bag", nargs="?", type=Path, default=DEFAULT_BAG, help="bag to play (bags/c172p)"
+        "bag", nargs="?", type=given_path, default=DEFAULT_BAG, help="bag to play (bags/c172p)"
     )
     result.add_argument(
         "--params-file",
-        type=Path,
+        type=given_path,
         help="parameters of the node (identifier.yaml beside the bag, if there is one)",
     )
     result.add_argument(
@@ -84,7 +90,7 @@ def parser() -> argparse.ArgumentParser:
     )
     result.add_argument(
         "--output",
-        type=Path,
+        type=given_path,
         default=Path("output"),
         help="folder for the results and the node's log (output)",
     )

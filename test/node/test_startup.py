@@ -94,7 +94,10 @@ def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -
     cases += [
         (own, ["--ros-args", "--params-file", "none.yaml"], "'none.yaml': there is no such file"),
         (own, ["flight.yaml"], "--ros-args --params-file FILE"),
-        (own, ["--ros-args", "-r", "imu/data=/gyro"], "remapping 'imu/data=/gyro': write FROM:=TO"),
+        *(
+            (own, ["--ros-args", "-r", given], f"remapping '{given}': write FROM:=TO")
+            for given in ("imu/data=/gyro", "imu/data:=", ":=/gyro")
+        ),
     ]
     dumped = tmp_path / "dumped.yaml"  # format of `ros2 param dump` without a namespace
     dumped.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")

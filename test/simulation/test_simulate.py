@@ -82,6 +82,7 @@ def test_options_apply_to_the_bag_and_its_parameters(tmp_path: Path) -> None:
         ("--imu-rate nan", "--imu-rate"),
         ("--noise -1", "gyro_noise"),
         ("--amplitude nan 0 0 0", "--amplitude"),
+        ("--delay 1000", "--delay is 1000: 0 to 0.5 s"),
         ("--bank 20", "--bank"),
         ("--airspeed-noise 0", "--airspeed-noise belongs to an aircraft"),
         ("--jsbsim c172p --gusts 1", "--gusts"),

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, given_path
 from uav_ident_ros.import_logs import blackbox, dataflash, px4_log
 from uav_ident_ros.import_logs.ardupilot import read_ardupilot
 from uav_ident_ros.import_logs.csv_table import EXAMPLE, load_column_map, read_csv
@@ -83,10 +83,15 @@ def parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     add = result.add_argument
-    add("log", type=Path, metavar="LOG",
+    add("log", type=given_path, metavar="LOG",
         help="log file, recognised by its first bytes, or a folder of ulog2csv")  # fmt: skip
-    add("--output", type=Path, metavar="DIR", help="folder of the new bag (default: LOG's name)")
-    add("--columns", type=Path, metavar="FILE", help="column map of a table")
+    add(
+        "--output",
+        type=given_path,
+        metavar="DIR",
+        help="folder of the new bag (default: LOG's name)",
+    )
+    add("--columns", type=given_path, metavar="FILE", help="column map of a table")
     add("--rates-topic", metavar="NAME",
         help="PX4 topic or ArduPilot message of the rates (default: raw and fast)")  # fmt: skip
     add("--actuators-topic", metavar="NAME",

@@ -80,7 +80,7 @@ def explain(error: Exception) -> str:
     )
     if "same type" in reason:
         reason += ": write every number of a list with a decimal point, like [1.0, 0.5]"
-    elif "lexeme" in reason:  # a word of the grammar of rcl
+    elif re.search("lexeme|token|not set", reason):  # of the grammar of rcl, or an empty side
         reason = f"write {'FROM:=TO' if what == 'remapping' else 'NAME:=VALUE'}"
     return f"{what} '{text}': {reason}"
 

@@ -4,9 +4,8 @@
 import argparse
 import os
 import sys
-from pathlib import Path
 
-from uav_ident_ros.commandline import OneLineParser, importing, number
+from uav_ident_ros.commandline import OneLineParser, given_path, importing, number
 
 NODE_NAME = "/identifier"
 
@@ -53,15 +52,15 @@ def parser() -> argparse.ArgumentParser:
         epilog=EXIT_STATUS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    result.add_argument("bags", type=Path, nargs="+", metavar="BAG",
+    result.add_argument("bags", type=given_path, nargs="+", metavar="BAG",
         help="MCAP file, rosbag2 folder, or a folder with any number of them")  # fmt: skip
     add = result.add_argument_group("parameters").add_argument
-    add("--params-file", type=Path, action="append", default=[], metavar="FILE",
+    add("--params-file", type=given_path, action="append", default=[], metavar="FILE",
         help="ROS 2 parameter file, as for the node; may be given several times: the last "
              "counts")  # fmt: skip
     add("--node", default=NODE_NAME, metavar="NAME",
         help="node whose sections of the parameter file count (default: %(default)s)")  # fmt: skip
-    add("--compare", type=Path, nargs="+", metavar="FILE",
+    add("--compare", type=given_path, nargs="+", metavar="FILE",
         help="rank configurations on one bag: parameter files, each on top of "
              "--params-file")  # fmt: skip
     add = result.add_argument_group("topics").add_argument
@@ -70,7 +69,7 @@ def parser() -> argparse.ArgumentParser:
              "given several times (default: the topic of that name, else the only one of a fitting "
              "type)")  # fmt: skip
     add = result.add_argument_group("output").add_argument
-    add("--output", type=Path, metavar="DIR",
+    add("--output", type=given_path, metavar="DIR",
         help="folder of the results (default: replay_BAG); of several bags or configurations each "
              "gets a folder of its own in it")  # fmt: skip
     add("--plot", action="store_true", help="also write replay.png: rates and coefficients")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import BagWriteError
-from uav_ident_ros.commandline import OneLineParser
+from uav_ident_ros.commandline import OneLineParser, given_path
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_coefficients
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.fleet import Aircraft, fleet_of, read_flights
@@ -45,13 +45,13 @@ def main(args: list[str] | None = None) -> int:
     )
     parser.add_argument(
         "tables",
-        type=Path,
+        type=given_path,
         nargs="+",
         metavar="TABLE",
         help="flights.csv or flights.parquet of a replay of many bags, or its folder",
     )
     folder_help = "folder of the results (default: of the table)"
-    parser.add_argument("--output", type=Path, metavar="DIR", help=folder_help)
+    parser.add_argument("--output", type=given_path, metavar="DIR", help=folder_help)
     options = parser.parse_args(args)
     first: Path = options.tables[0]
     folder: Path = options.output or (first if first.is_dir() else first.parent)

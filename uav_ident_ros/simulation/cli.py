@@ -6,10 +6,10 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
-from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser
+from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, given_path
+from uav_ident_ros.identification.settings import MAX_DELAY
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
@@ -84,7 +84,7 @@ def make_parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--output", required=True, type=Path, metavar="DIR", help="folder of the new bag")
+    add("--output", required=True, type=given_path, metavar="DIR", help="folder of the new bag")
     add("--compress", action="store_true", help="compress the bag with zstd")
 
     flight = parser.add_argument_group("flight")
@@ -174,6 +174,8 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         parser.error("--autopilot: the quadrotor always has one")
     if not options.rate > 0.0:
         parser.error(f"--imu-rate is {options.rate:g}: it must be positive")
+    if not 0.0 <= options.delay <= MAX_DELAY:
+        parser.error(f"--delay is {options.delay:g}: 0 to {MAX_DELAY:g} s are identified")
     if not options.quiet >= 0.0:
         parser.error(f"--quiet is {options.quiet:g}: it must be 0 or more")
     if not all(math.isfinite(v) for v in options.amplitude or ()):

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR, OneLineParser
+from uav_ident_ros.commandline import INTERRUPTED, USAGE_ERROR, OneLineParser, given_path
 from uav_ident_ros.control import LAWS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.node.waiting import Progress
@@ -237,7 +237,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="request excitation at S, s (docs/excitation.md)")  # fmt: skip
     add("--seed", type=int, default=0)
     add("--real-time", action="store_true", help="with the wall clock, not in step")
-    add("--output", type=Path, help="folder for the logs and the record")
+    add("--output", type=given_path, help="folder for the logs and the record")
     return parser
 
 
