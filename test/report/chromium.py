@@ -18,6 +18,7 @@ FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--hide-scrollbars", "--remote-debugging-pipe",
+    "--no-zygote",  # a child of the browser that outlives it, for the init process to reap
 )  # fmt: skip
 
 PATIENCE = 240.0
