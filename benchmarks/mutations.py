@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mutation test of the core's constants: ``python benchmarks/mutations.py [MODULE ...]``.
 
-A module of the core, or ``control.MODULE``; ``control`` stands for all of these.
+A module is named from the package, such as ``control.laws``; ``control`` stands for all in it.
 
 In a copy of the repository each number with a name in capitals is halved, then doubled, and the
 quick tests of its module run. A constant whose change no test detects needs a test, or must go.
@@ -21,8 +21,8 @@ from pathlib import Path
 import bench
 from bench import ROOT
 
-CORE = Path("uav_ident_ros") / "identification"
-CONTROL = "control"
+PACKAGE = Path("uav_ident_ros")
+CORE, CONTROL = FOLDERS = ("identification", "control")
 COPIED = ("uav_ident_ros", "test", "benchmarks", "scripts", "config", "pyproject.toml")
 
 TESTS: dict[str, tuple[str, ...]] = {
@@ -52,11 +52,11 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "settings": ("test_settings.py", "test_injected.py"),
     "identifier": ("test_model.py", "test_estimators.py", "test_resume.py"),
-    "control.controller": ("test_laws.py",),
-    "control.sideslip": ("test_laws.py",),
-    "control.effectiveness": ("test_choice.py",),
+    "controller": ("test_laws.py",),
+    "sideslip": ("test_laws.py",),
+    "effectiveness": ("test_choice.py",),
 }
-"""Quick tests of a module in test/identification or test/control, if not just test_MODULE.py."""
+"""Quick tests of a module in its folder of test/, if not just test_MODULE.py."""
 
 GIVEN = {
     "units": {"GRAVITY", "NS", "SECOND_NS"},
@@ -85,15 +85,9 @@ LONGEST = 900.0
 """Time limit of the tests, s: a change that makes them hang counts as detected."""
 
 
-def folder_of(module: str) -> Path:
-    """Return the folder of a module in the package: the core's, or that of `CONTROL`."""
-    return CORE.with_name(CONTROL) if module.startswith(f"{CONTROL}.") else CORE
-
-
 def path_of(module: str) -> Path:
     """Return the file of a module."""
-    name = module.removeprefix(f"{CONTROL}.")
-    return folder_of(module) / Path(*name.split(".")).with_suffix(".py")
+    return PACKAGE / Path(*module.split(".")).with_suffix(".py")
 
 
 def constants(module: str) -> Iterator[str]:
@@ -159,46 +153,41 @@ def noticing(folder: Path, tests: Sequence[str]) -> str:
 
 def tests_of(module: str) -> tuple[str, ...]:
     """Return the quick tests of a module, possibly none."""
-    name = module.rpartition(".")[2]
-    names = TESTS.get(module, TESTS.get(name, (f"test_{name}.py",)))
-    found = [Path("test") / folder_of(module).name / test for test in names]
+    folder, *_, name = module.split(".")
+    found = [Path("test") / folder / test for test in TESTS.get(name, (f"test_{name}.py",))]
     return tuple(str(test) for test in found if (ROOT / test).exists())
 
 
-def modules_of_the_core() -> list[str]:
-    """Return the names of all modules of the core, those in a folder with its name."""
-    every = (p.relative_to(ROOT / CORE) for p in sorted((ROOT / CORE).rglob("*.py")))
-    return [".".join(p.with_suffix("").parts) for p in every]
-
-
-def modules_of_control() -> list[str]:
-    """Return the names of all modules of rate control."""
-    return [f"{CONTROL}.{p.stem}" for p in sorted((ROOT / CORE.with_name(CONTROL)).glob("*.py"))]
+def modules_of(folder: str) -> list[str]:
+    """Return the names of all modules in a folder of the package, and below it."""
+    every = sorted((ROOT / PACKAGE / folder).rglob("*.py"))
+    return [".".join(p.relative_to(ROOT / PACKAGE).with_suffix("").parts) for p in every]
 
 
 def stale() -> list[str]:
     """Return the names in `TESTS` and `GIVEN` that no module and no test has."""
-    modules = modules_of_the_core() + modules_of_control()
-    short = {module.rpartition(".")[2] for module in modules} | {*modules}
+    paths = [path_of(module) for folder in FOLDERS for module in modules_of(folder)]
     declared: set[str] = set()
-    for module in modules:
-        declared |= set(_declared((ROOT / path_of(module)).read_text(encoding="utf-8")))
+    for path in paths:
+        declared |= set(_declared((ROOT / path).read_text(encoding="utf-8")))
     files = {test for tests in TESTS.values() for test in tests}
-    folders = (CORE.name, CONTROL)
-    there = {path.name for name in folders for path in (ROOT / "test" / name).glob("test_*.py")}
-    return sorted({*TESTS} - short | files - there | set().union(*GIVEN.values()) - declared)
+    there = {path.name for name in FOLDERS for path in (ROOT / "test" / name).glob("test_*.py")}
+    modules = {path.stem for path in paths}
+    return sorted({*TESTS} - modules | files - there | set().union(*GIVEN.values()) - declared)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the mutations; return the exit status, 1 if one is not detected."""
     parser = bench.parser(__doc__)
-    parser.add_argument("modules", nargs="*", help="modules (all of the core)")
+    parser.add_argument("modules", nargs="*", default=[CORE], help=f"modules ({CORE})")
     parser.add_argument("--constants", nargs="+", help="these alone")
     parser.add_argument("--list", action="store_true", help="list the constants, change none")
     options = parser.parse_args(arguments)
-    modules = options.modules or modules_of_the_core()
-    if CONTROL in modules:
-        modules = [*(m for m in modules if m != CONTROL), *modules_of_control()]
+    modules = [
+        module
+        for name in options.modules
+        for module in (modules_of(name) if name in FOLDERS else [name])
+    ]
     if gone := stale():
         print(f"TESTS and GIVEN have names that do not exist: {', '.join(gone)}; correct them")
         return 1

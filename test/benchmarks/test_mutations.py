@@ -10,11 +10,16 @@ LIMIT = 40
 """Largest number of constants of the core."""
 
 
+def constants(module: str) -> set[str]:
+    return {*mutations.constants(f"{mutations.CORE}.{module}")}
+
+
 def test_constants_are_found_and_one_line_changes() -> None:
-    found = set(mutations.constants("flow")) | set(mutations.constants("scales"))
+    found = set(constants("flow")) | set(constants("scales"))
     assert {"ATTITUDE_GAIN", "IN_A_ROW"} <= found
     assert "SIGNALS" not in found  # not a number
-    source = (mutations.ROOT / mutations.path_of("scales")).read_text(encoding="utf-8")
+    path = mutations.ROOT / mutations.path_of("identification.scales")
+    source = path.read_text(encoding="utf-8")
     changed = mutations.mutated(source, "IN_A_ROW", 2.0)
     before, after = source.splitlines(), changed.splitlines()
     different = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
@@ -37,29 +42,31 @@ def test_every_form_of_a_constant_is_changed(declared: str, changed: object) -> 
 
 
 def test_derived_and_physical_values_are_not_mutated() -> None:
-    assert "OUTLYING" not in mutations.constants("scales")  # the square of SURE
-    assert "GRAVITY" not in mutations.constants("model")
-    assert "LARGEST_RATE" not in mutations.constants("model")  # the score is clipped there
-    assert "STEP" in mutations.constants("scales")
+    assert "OUTLYING" not in constants("scales")  # the square of SURE
+    assert "GRAVITY" not in constants("model")
+    assert "LARGEST_RATE" not in constants("model")  # the score is clipped there
+    assert "STEP" in constants("scales")
 
 
 def test_the_core_stays_within_the_limit_of_constants() -> None:
-    core = mutations.ROOT / mutations.CORE
-    modules = [".".join(p.relative_to(core).with_suffix("").parts) for p in core.rglob("*.py")]
+    modules = mutations.modules_of(mutations.CORE)
     assert sum(len(list(mutations.constants(module))) for module in modules) <= LIMIT
 
 
 def test_the_named_tests_exist() -> None:
-    for module in mutations.TESTS:
-        assert len(mutations.tests_of(module)) == len(mutations.TESTS[module]), module
-    assert mutations.tests_of("plausibility")
+    modules = [*mutations.modules_of(mutations.CORE), *mutations.modules_of(mutations.CONTROL)]
+    named = {m: tests for m in modules if (tests := mutations.TESTS.get(m.rpartition(".")[2]))}
+    assert len(named) == len(mutations.TESTS)
+    for module, tests in named.items():
+        assert len(mutations.tests_of(module)) == len(tests), module
+    assert mutations.tests_of("identification.plausibility")
 
 
 def test_rate_control_is_mutated_too(capsys: pytest.CaptureFixture[str]) -> None:
     assert mutations.main(["control", "--list"]) == 0
     listed = capsys.readouterr().out.splitlines()
     assert {"control.laws.MAX_INTERVAL", "control.effectiveness.SURE"} <= {*listed}
-    for module in mutations.modules_of_control():
+    for module in mutations.modules_of(mutations.CONTROL):
         assert not {*mutations.constants(module)} or mutations.tests_of(module), module
 
 
