@@ -10,6 +10,7 @@ from itertools import groupby
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import settings
 
 # The package limits BLAS's threads by the environment, so it must load before NumPy.
@@ -77,13 +78,25 @@ def ros_environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def warm(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the parameter file of a flight that starts from `rough_start`."""
-    from excerpts import parameter_file, parameters, rough_start
+    """Return the parameter file of a flight that starts a tenth below its true coefficients.
+
+    It has a verdict after three seconds, not after half a minute, and still has to learn. The start
+    is `start.yaml` beside the file.
+    """
+    import numpy as np
+    from equations import matrix
+    from excerpts import BAGS, parameter_file, parameters
 
     from uav_ident_ros.files.coefficients_file import save_coefficients
+    from uav_ident_ros.identification.estimate import CoefficientSet
+    from uav_ident_ros.identification.structure import STRUCTURES
 
     folder = tmp_path_factory.mktemp("warm")
-    save_coefficients(rough_start(), folder / "start.yaml")
+    truth = yaml.safe_load((BAGS / "multisine" / "truth.yaml").read_text())["coefficients"]
+    structure = STRUCTURES[parameters()["structure"]]
+    start = 0.9 * matrix(structure, truth)
+    sigma = np.where(structure.mask, 0.2 + 0.15 * np.abs(start), 0.0)
+    save_coefficients(CoefficientSet(structure.name, start, sigma), folder / "start.yaml")
     values = parameters(initial_coefficients_file=str(folder / "start.yaml"))
     return parameter_file(folder / "identifier.yaml", **values)
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -15,8 +14,6 @@ from repository import ROOT
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.bags.writing import BagWriter, jazzy_types
 from uav_ident_ros.files.parameter_file import load_parameters
-from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.offline import main
 
 BAGS = ROOT / "bags"
@@ -102,21 +99,6 @@ def parameter_file(path: Path, **values: Any) -> Path:
     named = {key.replace("__", "."): value for key, value in values.items()}
     path.write_text(yaml.safe_dump({"/**": {"ros__parameters": named}}), encoding="utf-8")
     return path
-
-
-def rough_start() -> CoefficientSet:
-    """Return coefficients of the multisine flight, a tenth below the true ones.
-
-    A flight that starts from them has a verdict after three seconds, not after half a minute, and
-    still has to learn.
-    """
-    truth = yaml.safe_load((BAGS / "multisine" / "truth.yaml").read_text())["coefficients"]
-    structure = STRUCTURES[parameters()["structure"]]
-    values = np.zeros(structure.mask.shape)
-    for name, value in truth.items():
-        values[structure.index(name)] = 0.9 * value
-    sigma = np.where(structure.mask, 0.2 + 0.15 * np.abs(values), 0.0)
-    return CoefficientSet(structure.name, values, sigma)
 
 
 def replay(bag: Path, output: Path, *more: str, by: str | Path = "multisine") -> int:

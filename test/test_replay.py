@@ -24,7 +24,6 @@ from excerpts import (
     parameter_file,
     parameters,
     replay,
-    rough_start,
     summary,
     written,
 )
@@ -359,7 +358,7 @@ def test_a_contradicting_frame_is_a_fault(frame_id: str, tmp_path: Path, capsys:
 
 
 @pytest.mark.parametrize("jump", [500, -500])
-def test_no_window_spans_a_jump_of_the_time_base(jump: int, tmp_path: Path) -> None:
+def test_no_window_spans_a_jump_of_the_time_base(jump: int, warm: Path, tmp_path: Path) -> None:
     half_ns = START_NS + 8 * SECOND_NS
 
     def jumping(topic: str, log_ns: int, message: Any) -> list[Entry]:
@@ -369,7 +368,7 @@ def test_no_window_spans_a_jump_of_the_time_base(jump: int, tmp_path: Path) -> N
         return [(topic, log_ns, message)]
 
     path = excerpt(tmp_path / "bag", 11.0, "multisine", jumping)
-    run = run_over(path, parameters(), rough_start())
+    run = run_over(path, parameters(), load_coefficients(warm.with_name("start.yaml")))
     assert run.era == 1
     # the last 40 % begin 1.4 s before the jump; each of both parts lacks its last second
     fit = run.score()["last_40_percent"]
