@@ -21,12 +21,12 @@ import numpy as np
 import verdict_flights
 from verdict_flights import GLITCH_TIME, Trial
 
-from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.files.parameter_file import PARAMETER_FILE, load_parameters
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.noise import Measurements
-from uav_ident_ros.simulation.recording import PARAMETER_FILE, write_bag
+from uav_ident_ros.simulation.recording import write_bag
 
 MAIN = ("pdot/da", "qdot/de", "rdot/dr")
 """The compared control derivative of each row."""

@@ -19,6 +19,7 @@ from std_msgs.msg import Float64MultiArray
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.guest import CLOCK_AHEAD_NS, POLL_PERIOD, Guest, StepClock
+from uav_ident_ros.messages.published import NAMED
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.offline import NODE_NAME
@@ -88,7 +89,7 @@ class Player(Guest):
         self.clock = StepClock(self.node, self._executor, CLOCK_PERIOD_NS, clock)
         out, name, last = self.outputs, NODE_NAME, latched(DEPTH)
         subscribe = self.node.create_subscription
-        subscribe(JointState, f"{name}/coefficients_named", out.named.append, last)
+        subscribe(JointState, f"{name}/{NAMED}", out.named.append, last)
         subscribe(Float64MultiArray, f"{name}/coefficients", out.coefficients.append, last)
         subscribe(Vector3Stamped, f"{name}/predicted_rates", out.predicted_rates.append, DEPTH)
         subscribe(Vector3Stamped, f"{name}/prediction_error", out.prediction_error.append, DEPTH)
@@ -109,7 +110,7 @@ class Player(Guest):
         publishers = [*self._publishers.values()]
         if self.clock.publisher is not None:
             publishers.append(self.clock.publisher)
-        output = f"{NODE_NAME}/coefficients_named"
+        output = f"{NODE_NAME}/{NAMED}"
         return self.node.count_publishers(output) > 0 and all(
             publisher.get_subscription_count() > 0 for publisher in publishers
         )

@@ -10,9 +10,10 @@ from uav_ident_ros.client.coefficients import Coefficients, MessageError
 from uav_ident_ros.client.excitation import Excitation
 from uav_ident_ros.client.source import CoefficientSource
 from uav_ident_ros.identification.structure import FloatArray
+from uav_ident_ros.messages.published import NAMED
 from uav_ident_ros.messages.types import header_ns
 
-TOPIC = "identifier/coefficients_named"
+TOPIC = f"identifier/{NAMED}"
 """Topic of the coefficients from the identifier in the node's own namespace."""
 
 EXCITATION_TOPIC = "identifier/excitation"

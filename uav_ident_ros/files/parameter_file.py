@@ -21,6 +21,9 @@ from uav_ident_ros.files.strict_yaml import UNUSABLE, malformed, problem
 
 ParameterValue = bool | int | float | str | list[bool] | list[int] | list[float] | list[str] | None
 
+PARAMETER_FILE = "identifier.yaml"
+"""The file beside a bag: the meaning of its topics."""
+
 PARAMETERS_KEY = "ros__parameters"
 
 IGNORED = ("use_sim_time", "start_type_description_service")

@@ -114,7 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return the exit status, `DAMAGED` if a part of the log is unreadable."""
     options = parser().parse_args(arguments)
     from uav_ident_ros.bags.writing import BagWriteError  # help needs none of these
-    from uav_ident_ros.import_logs.writing import PARAMETER_FILE, fitting, summary, write_import
+    from uav_ident_ros.files.parameter_file import PARAMETER_FILE
+    from uav_ident_ros.import_logs.writing import fitting, summary, write_import
 
     folder: Path = options.output or Path(options.log.stem)
     try:

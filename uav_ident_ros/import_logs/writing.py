@@ -23,15 +23,13 @@ from uav_ident_ros.bags.writing import (
     vector_stamped,
     whole,
 )
-from uav_ident_ros.files.parameter_file import load_parameters, written
+from uav_ident_ros.files.parameter_file import PARAMETER_FILE, load_parameters, written
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, Stream, printable
 from uav_ident_ros.import_logs.stamps import Stretches, coverage, inside, turned_at
 from uav_ident_ros.messages.types import FRAME_IDS
-
-PARAMETER_FILE = "identifier.yaml"
 
 ARMED_STEP_NS = 1_000_000_000
 """Period of the armed messages between changes, ns: the type has no stamp."""

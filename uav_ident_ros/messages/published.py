@@ -9,6 +9,9 @@ import numpy as np
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import ROWS, FloatArray, Structure
 
+NAMED = "coefficients_named"
+"""Topic of the coefficients by name, in the node's own namespace; it marks an identifier."""
+
 
 def coefficients_layout(structure: Structure) -> tuple[tuple[str, int, int], ...]:
     """Return label, size and stride of the dimensions of ~/coefficients: rows, columns."""

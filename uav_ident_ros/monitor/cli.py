@@ -20,10 +20,10 @@ from uav_ident_ros.commandline import (
     reader_has_gone,
 )
 from uav_ident_ros.guest import Guest
+from uav_ident_ros.messages.published import NAMED
 from uav_ident_ros.monitor.watched_node import WatchedNode
 from uav_ident_ros.node.ending import Ending
 
-OUTPUT = "coefficients_named"
 OUTPUT_TYPE = "sensor_msgs/msg/JointState"
 
 STATUS_DEPTH = 50
@@ -52,9 +52,9 @@ class MonitorError(Exception):
 def identifiers(guest: Guest) -> list[str]:
     """Return the full names of the identifiers that publish now, sorted."""
     return sorted(
-        topic.removesuffix(f"/{OUTPUT}")
+        topic.removesuffix(f"/{NAMED}")
         for topic, types in guest.node.get_topic_names_and_types()
-        if topic.endswith(f"/{OUTPUT}")
+        if topic.endswith(f"/{NAMED}")
         and OUTPUT_TYPE in types
         and guest.node.count_publishers(topic) > 0
     )
@@ -79,7 +79,7 @@ def find(
 
 def listen(guest: Guest, node: str) -> WatchedNode:
     """Subscribe to the topics of an identifier, by its full name."""
-    watched, topic = WatchedNode(node), f"{node}/{OUTPUT}"
+    watched, topic = WatchedNode(node), f"{node}/{NAMED}"
 
     def take_status(message: DiagnosticArray) -> None:
         for status in message.status:

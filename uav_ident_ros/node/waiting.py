@@ -18,11 +18,9 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ARMED, Drop
 from uav_ident_ros.identification.speed import unmeasured
+from uav_ident_ros.messages.published import NAMED
 from uav_ident_ros.messages.streams import EXCITATION_END
 from uav_ident_ros.node.inputs import Input
-
-OWN_OUTPUT = "coefficients_named"
-"""Topic that marks a node as an identifier, whose topics are no inputs."""
 
 INCOMPATIBLE_QOS: dict[str, tuple[ReliabilityPolicy | DurabilityPolicy, ...]] = {
     "reliability": (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
@@ -81,7 +79,7 @@ def _alternative_topic(node: Node, wanted: Input) -> str:
 def _published(node: Node) -> dict[str, list[str]]:
     """Return all published topics with their types, without identifiers' and injected signals."""
     topics = dict(node.get_topic_names_and_types())
-    own = {name.rpartition("/")[0] for name in topics if name.endswith(f"/{OWN_OUTPUT}")}
+    own = {name.rpartition("/")[0] for name in topics if name.endswith(f"/{NAMED}")}
     return {
         name: types
         for name, types in topics.items()

@@ -23,7 +23,7 @@ from uav_ident_ros.files.coefficients_file import (
     initial_coefficients,
     save_coefficients,
 )
-from uav_ident_ros.files.parameter_file import ParameterFile, ParameterFileError
+from uav_ident_ros.files.parameter_file import PARAMETER_FILE, ParameterFile, ParameterFileError
 from uav_ident_ros.identification.settings import SettingsError
 from uav_ident_ros.messages.types import MessageTypeError
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
@@ -223,7 +223,7 @@ def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[
 
 def parameters_beside(bag: Path) -> Path | None:
     """Return the parameter file that `simulate` or `import_log` wrote beside a bag, if any."""
-    file = (bag if bag.is_dir() else bag.parent) / "identifier.yaml"
+    file = (bag if bag.is_dir() else bag.parent) / PARAMETER_FILE
     return file if file.is_file() else None
 
 

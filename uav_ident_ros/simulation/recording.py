@@ -21,14 +21,13 @@ from uav_ident_ros.bags.writing import (
     twist_stamped,
     whole,
 )
+from uav_ident_ros.files.parameter_file import PARAMETER_FILE
 from uav_ident_ros.files.truth_file import TRUTH_FILE
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, RATES
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.simulation.noise import Measurements, Message
 
 TOPICS = {RATES: "/imu/data", ACTUATORS: "/actuators", AIRSPEED: "/airspeed"}
-
-PARAMETER_FILE = "identifier.yaml"
 
 FIGURES = 9
 """Significant figures of the numbers in the files beside the bag."""
