@@ -46,7 +46,7 @@ CALM = ColouredNoise()
 """No disturbance."""
 
 
-INPUT_KINDS = ("multisine", "3211", "doublet", "quiet")
+INPUT_KINDS = ("multisine", "3211", "doublet")
 """Kinds of excitation by name."""
 
 PAUSE = 2.0
@@ -57,7 +57,7 @@ PAUSE = 2.0
 class Segment:
     """One interval of excitation."""
 
-    kind: str  # ``multisine``, ``3211``, ``doublet`` or ``quiet``
+    kind: str  # One of `INPUT_KINDS`
     # start, duration: Start and length, s. Outside of the segment the inputs are zero.
     start: float = 0.0
     duration: float = math.inf
@@ -98,8 +98,6 @@ class Segment:
 
     def _shapes(self, t: FloatArray, count: int) -> FloatArray:
         """Return the normalised inputs, within -1 ... 1, at times (s) since the start."""
-        if self.kind == "quiet":
-            return np.zeros((len(t), count))
         if self.kind == "multisine":
             try:
                 return multisines(t, count, self.period, self.band, self.seed)
@@ -120,5 +118,5 @@ def excited_intervals(
     return tuple(
         (s.start, min(duration, s.start + s.duration))
         for s in segments
-        if s.kind != "quiet" and any(s.amplitudes.values())
+        if any(s.amplitudes.values())
     )
