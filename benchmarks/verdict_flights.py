@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import INPUTS, ROWS, FloatArray, Structure
+from uav_ident_ros.messages.types import FLU_TO_FRD
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.faults import SURFACE_NAMES, Fault
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
 from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
 from uav_ident_ros.simulation.live import Plan
-from uav_ident_ros.simulation.noise import FRD_TO_FLU, Measurements, Sensors, measure
+from uav_ident_ros.simulation.noise import Measurements, Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight
 from uav_ident_ros.simulation.quadrotor_flight import AMPLITUDES, QuadrotorFlight
 from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
@@ -510,8 +511,8 @@ def carried(seconds: float, seed: int, measured: Measurements) -> Measurements:
     actuator_t_ns = measured.actuator_t_ns[0] + every[1] * np.arange(len(actuators))
     return replace(
         measured,
-        rates=np.concatenate([gyro * FRD_TO_FLU, measured.rates]),
-        specific_force=np.concatenate([force * FRD_TO_FLU, measured.specific_force]),
+        rates=np.concatenate([gyro * FLU_TO_FRD, measured.rates]),
+        specific_force=np.concatenate([force * FLU_TO_FRD, measured.specific_force]),
         actuators=actuators,
         imu_t_ns=imu_t_ns, imu_log_ns=imu_t_ns, true_t_ns=imu_t_ns,
         actuator_t_ns=actuator_t_ns, actuator_log_ns=actuator_t_ns,

@@ -18,8 +18,8 @@ from sensor_msgs.msg import Imu, JointState
 from uav_ident_ros.client import CoefficientSource, Fallback, Refusal, subscribe
 from uav_ident_ros.control import Effectiveness, Response
 from uav_ident_ros.control.choice import control_derivatives
+from uav_ident_ros.messages.types import FLU_TO_FRD, header_ns, xyz
 
-FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 AXES = ("roll", "pitch", "yaw")
 WEAK = 0.6  # of the estimated effect
 SIGMAS = 3.0
@@ -46,7 +46,7 @@ class EffectivenessMonitor(Node):
 
     def on_imu(self, message: Imu) -> None:
         """Compare the measured effect of the inputs with the coefficients."""
-        t_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        t_ns = header_ns(message)
         dt, self.last_ns = (t_ns - self.last_ns) * 1e-9, t_ns
         try:
             model = self.source.model(t_ns)
@@ -57,8 +57,7 @@ class EffectivenessMonitor(Node):
             self.measured.restart()
             self.believed = np.ones(3)
             return
-        w = message.angular_velocity
-        x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
+        x = np.array(xyz(message.angular_velocity)) * FLU_TO_FRD
         effect, found = control_derivatives(model)[0], self.response
         if found.update(x, effect, self.acting[None], dt, model):
             self.measured.update(found.answered[0], found.made[0], dt, believed=self.believed)

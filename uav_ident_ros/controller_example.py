@@ -37,11 +37,10 @@ from uav_ident_ros.client import (
 from uav_ident_ros.control import LAWS, Effect, Gains, RateController
 from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import header_ns, stamp_ns
+from uav_ident_ros.messages.types import FLU_TO_FRD, header_ns, stamp_ns, xyz
 from uav_ident_ros.node.notices import without_numbers
 from uav_ident_ros.node.program import read_parameters, run, spin
 
-FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 AXES = ("roll", "pitch", "yaw")
 
 REPORT_PERIOD = 1.0
@@ -140,16 +139,13 @@ class ControllerExample(Node):
         )
 
     def _on_reference(self, message: Vector3Stamped) -> None:
-        vector = message.vector
-        reference = np.array([vector.x, vector.y, vector.z])
-        self._references.add(header_ns(message), reference)
+        self._references.add(header_ns(message), np.array(xyz(message.vector)))
 
     def _on_imu(self, message: Imu) -> None:
         if self._commands is None:
             return
         t_ns = header_ns(message)
-        rates = message.angular_velocity
-        x = np.array([rates.x, rates.y, rates.z]) * FLU_TO_FRD
+        x = np.array(xyz(message.angular_velocity)) * FLU_TO_FRD
         reference = self._references.at(t_ns - self._reference_delay_ns)
         if not np.isfinite(x if reference is None else x - reference).all():
             problem = "a rate or its reference is not finite: the surfaces stay where they are"

@@ -11,7 +11,7 @@ from uav_ident_ros.client.excitation import Excitation
 from uav_ident_ros.client.source import CoefficientSource
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.published import NAMED
-from uav_ident_ros.messages.types import header_ns
+from uav_ident_ros.messages.types import FLU_TO_FRD, header_ns, xyz
 
 TOPIC = f"identifier/{NAMED}"
 """Topic of the coefficients from the identifier in the node's own namespace."""
@@ -24,8 +24,6 @@ DEPTH = 10
 
 SURFACES = ("elevator", "rudder", "aileron")
 """Names in a command."""
-
-FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 
 
 def subscribe(
@@ -81,12 +79,10 @@ def answer_rates(
     commands = node.create_publisher(JointState, "command", DEPTH)
 
     def store(message: Vector3Stamped) -> None:
-        vector = message.vector
-        reference[:] = vector.x, vector.y, vector.z
+        reference[:] = xyz(message.vector)
 
     def answer(message: Imu) -> None:
-        w = message.angular_velocity
-        x = np.array([w.x, w.y, w.z]) * FLU_TO_FRD
+        x = np.array(xyz(message.angular_velocity)) * FLU_TO_FRD
         if np.isfinite(x - reference).all():
             u = law(header_ns(message), x, reference.copy())
             commands.publish(JointState(header=message.header, name=SURFACES, position=u.tolist()))

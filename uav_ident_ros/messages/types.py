@@ -108,13 +108,14 @@ def _read_imu(message: Any) -> RatesReading:
     # sensor_msgs/Imu: a covariance that starts with -1 means that there is no such measurement.
     rates = force = None
     if message.angular_velocity_covariance[0] != -1.0:
-        rates = _xyz(message.angular_velocity)
+        rates = xyz(message.angular_velocity)
     if message.linear_acceleration_covariance[0] != -1.0:
-        force = _xyz(message.linear_acceleration)
+        force = xyz(message.linear_acceleration)
     return RatesReading(header_ns(message), rates, force, message.header.frame_id)
 
 
-def _xyz(vector: Any) -> Vector:
+def xyz(vector: Any) -> Vector:
+    """Return a geometry_msgs/Vector3."""
     return float(vector.x), float(vector.y), float(vector.z)
 
 
@@ -299,6 +300,9 @@ def listed(items: Sequence[object], nothing: str = "none") -> str:
     more = f" and {len(items) - MOST_LISTED} more" if len(items) > MOST_LISTED else ""
     return (", ".join(shown) or nothing) + more
 
+
+FLU_TO_FRD = (1.0, -1.0, -1.0)
+"""Factors of x, y, z for half a turn about x, which is its own inverse."""
 
 FRAME_IDS = {"flu": "base_link", "frd": "base_link_frd"}
 """frame_id of an Imu by the convention of its axes (REP-103, REP-147)."""

@@ -16,11 +16,8 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, RATES
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import FRAME_IDS
+from uav_ident_ros.messages.types import FLU_TO_FRD, FRAME_IDS
 from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError
-
-FRD_TO_FLU = np.array([1.0, -1.0, -1.0])
-"""Half a turn about x, which is its own inverse."""
 
 AIRSPEED_RATE = 10.0
 """Rate of a measured airspeed, Hz: about that of PX4 and MAVROS."""
@@ -174,7 +171,7 @@ def measure(
     keep = keep[drops.random(len(keep)) >= sensors.drop]
     offset = sensors.stamp_jitter * jitter.uniform(-1.0, 1.0, count)
     true_t_ns = flight.t_ns[keep]
-    axes = FRD_TO_FLU if sensors.convention == "flu" else np.ones(3)
+    axes = FLU_TO_FRD if sensors.convention == "flu" else 1.0
     airspeed, noise = flight.airspeed, sensors.airspeed_noise
     if airspeed is None or noise is None:
         airspeed, noise = np.empty(0), 0.0

@@ -37,7 +37,7 @@ from uav_ident_ros.guest import StepClock, listen
 from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import FRAME_IDS, NS_PER_S, header_ns
+from uav_ident_ros.messages.types import FLU_TO_FRD, FRAME_IDS, NS_PER_S, header_ns, xyz
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.node.program import UsageError, read_parameters, run
 from uav_ident_ros.ros import to_stamp
@@ -45,7 +45,7 @@ from uav_ident_ros.simulation.faults import Fault, parse_fault
 from uav_ident_ros.simulation.flight import EPOCH_NS, SimulationError
 from uav_ident_ros.simulation.jsbsim_flight import LiveAircraft
 from uav_ident_ros.simulation.live import Live, Sample
-from uav_ident_ros.simulation.noise import FRD_TO_FLU, Sensors
+from uav_ident_ros.simulation.noise import Sensors
 from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor
 
@@ -170,8 +170,7 @@ class PlantNode(Node):
             )
 
     def _on_reference(self, message: Vector3Stamped) -> None:
-        vector = message.vector
-        self._reference = header_ns(message), np.array([vector.x, vector.y, vector.z])
+        self._reference = header_ns(message), np.array(xyz(message.vector))
 
     def _on_coefficients(self, coefficients: Coefficients) -> None:
         if self._identifier_silent and self._value["wait_for_identifier"]:
@@ -372,8 +371,8 @@ class PlantNode(Node):
 def _imu_message(t_ns: int, sample: Sample) -> Imu:
     """Return an Imu message in REP-103 axes, with the true orientation in place of an AHRS's."""
     message = Imu(header=Header(stamp=to_stamp(t_ns), frame_id=FRAME_IDS["flu"]))
-    message.angular_velocity = _vector(sample.measured_rates * FRD_TO_FLU)
-    message.linear_acceleration = _vector(sample.measured_force * FRD_TO_FLU)
+    message.angular_velocity = _vector(sample.measured_rates * FLU_TO_FRD)
+    message.linear_acceleration = _vector(sample.measured_force * FLU_TO_FRD)
     roll, pitch, yaw = sample.attitude.tolist()
     turned = quaternions(roll, -pitch, 0.5 * math.pi - yaw)
     message.orientation = Quaternion(**dict(zip("xyzw", turned.tolist(), strict=True)))
