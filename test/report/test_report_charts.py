@@ -15,7 +15,7 @@ import pytest
 from bokeh.models import CrosshairTool, HoverTool, VArea
 from excerpts import SECOND_NS, START_NS, excerpt, parameters
 
-from uav_ident_ros.files.truth_file import Truth, read_truth
+from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.identifier import State
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
 from uav_ident_ros.offline.run import run_over
@@ -115,30 +115,20 @@ def test_autocorrelation_is_zero_if_white_and_decays_if_coloured() -> None:
 # --- truth -------------------------------------------------------------------------------------
 
 
-def test_true_coefficients_change_in_steps_by_their_factors(tmp_path: Path) -> None:
-    (tmp_path / "truth.yaml").write_text(
-        "coefficients: {pdot/p: -4.0, qdot/q: -5.0}\n"
-        "changes:\n  - {time: 10.0, factors: {pdot/p: 0.5}}\n"
-        "  - {time: 20.0, factors: {pdot/p: 0.5, qdot/q: 2.0}}\n"
-    )
-    truth = read_truth(tmp_path, STRUCTURES["augmented"])
-    assert truth.steps("pdot/p", 30.0) == (
-        [0.0, 10.0, 10.0, 20.0, 20.0, 30.0],
-        [-4.0, -4.0, -2.0, -2.0, -1.0, -1.0],
-    )
-    assert truth.steps("qdot/q", 15.0) == ([0.0, 15.0], [-5.0, -5.0])
-    # a derivative at fixed flow angles is no coefficient of a structure without them
+def test_a_derivative_at_fixed_flow_angles_is_true_with_these_angles_alone(tmp_path: Path) -> None:
     (tmp_path / "truth.yaml").write_text("local_derivatives: {pdot/beta: -15.0}")
-    assert read_truth(tmp_path, STRUCTURES["augmented"]).values == {}
+    assert read_truth(tmp_path, STRUCTURES["augmented"]) == {}
     with_angles = replace(STRUCTURES["augmented"], regressors=("p", "beta", "alpha"))
-    assert read_truth(tmp_path, with_angles).steps("pdot/beta", 1.0) == ([0.0, 1.0], [-15.0] * 2)
+    assert read_truth(tmp_path, with_angles) == {"pdot/beta": -15.0}
 
 
-@pytest.mark.parametrize("content", ["", "- a", "coefficients: 3", "a: [", "changes: [{}]"])
+@pytest.mark.parametrize(
+    "content", ["", "- a", "coefficients: 3", "a: [", "coefficients: {pdot/p: [1]}"]
+)
 def test_a_foreign_truth_file_gives_no_true_values(tmp_path: Path, content: str) -> None:
-    assert read_truth(tmp_path, STRUCTURES["baseline"]).values == {}
+    assert read_truth(tmp_path, STRUCTURES["baseline"]) == {}
     (tmp_path / "truth.yaml").write_text(content)
-    assert read_truth(tmp_path, STRUCTURES["baseline"]).values == {}
+    assert read_truth(tmp_path, STRUCTURES["baseline"]) == {}
 
 
 # --- pictures --------------------------------------------------------------------------------
@@ -149,7 +139,7 @@ def test_all_charts_over_time_share_axis_and_crosshair(flight: Flight) -> None:
     charts = [
         *rate_charts(flight, line, predict(flight, 0.05)),
         *signal_charts(flight, line),
-        *coefficient_charts(flight, line, Truth({"pdot/p": -4.0})),
+        *coefficient_charts(flight, line, {"pdot/p": -4.0}),
         state_chart(flight, line, ["too little excitation"]),
     ]
     assert len({id(chart.model.x_range) for chart in charts}) == 1
@@ -176,7 +166,7 @@ def test_a_second_time_base_continues_the_time_axis(tmp_path: Path) -> None:
 
 
 def test_a_band_is_one_sigma_to_either_side(flight: Flight) -> None:
-    chart, *_ = coefficient_charts(flight, Timeline(flight.span, []), Truth())
+    chart, *_ = coefficient_charts(flight, Timeline(flight.span, []), {})
     (drawn,) = [r for r in chart.model.renderers if isinstance(r.glyph, VArea)]
     data = drawn.data_source.data
     index = flight.structure.index("pdot/pq")

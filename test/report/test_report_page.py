@@ -17,7 +17,6 @@ from html_page import one, parse, rows_of, table, words
 
 import uav_ident_ros
 from uav_ident_ros.files.meanings import MEANINGS
-from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
@@ -117,7 +116,7 @@ def test_fixed_and_unknown_coefficients_have_no_t_ratio() -> None:
     cells = [[str(cell) for cell in row.cells[:3]] for row in found.rows]
     assert cells == [["-6", "fixed", "-"], ["30", "-", "-"], ["0.5", "0.25", "2.0"]]
     assert [row.weak for row in found.rows] == [False, False, True]
-    known = coefficients_table({"coefficients": entries}, Truth({"pdot/p": -6.5}))
+    known = coefficients_table({"coefficients": entries}, {"pdot/p": -6.5})
     assert list(known.head[:3]) == ["coefficient", "value", "true"]
     assert [str(row.cells[1]) for row in known.rows] == ["-6.5", "-", "-"]
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from uav_ident_ros.files.meanings import MEANINGS
-from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.samples import NS
 
 AXES = ("p", "q", "r")
@@ -95,7 +94,9 @@ def columns(table: Table) -> Iterator[str]:
 # --- of summary.json ----------------------------------------------------------------------------
 
 
-def coefficients_table(summary: Mapping[str, Any], truth: Truth | None = None) -> Table:
+def coefficients_table(
+    summary: Mapping[str, Any], truth: Mapping[str, float] | None = None
+) -> Table:
     """Return value, sigma, t-ratio and meaning of all coefficients, and known true values."""
     rows = []
     for name, entry in summary["coefficients"].items():
@@ -103,8 +104,7 @@ def coefficients_table(summary: Mapping[str, Any], truth: Truth | None = None) -
         ratio = abs(value) / sigma if sigma and value is not None else None
         cells: list[Cell] = [Number(value)]
         if truth:
-            _, true = truth.steps(name, math.inf)
-            cells.append(Number(true[-1] if true else None))
+            cells.append(Number(truth.get(name)))
         cells.append("fixed" if sigma == 0.0 else Number(sigma, ".2g"))
         cells += [Number(ratio, ".1f"), Words(MEANINGS.get(name, ""))]
         rows.append(Row(name, cells, ratio is not None and ratio < KNOWN_FROM))

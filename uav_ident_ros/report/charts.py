@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The charts over time: rates, inputs, forces, states, coefficients, and times of learning."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
 import numpy as np
 from bokeh.models import ColumnDataSource, Span
 
 from uav_ident_ros.files.meanings import AXIS_WORDS
-from uav_ident_ros.files.truth_file import Truth
 from uav_ident_ros.identification.prediction import LAST_PART
 from uav_ident_ros.identification.structure import INPUTS, ROWS, SPECIFIC_FORCES
 from uav_ident_ros.offline.evidence import reason_of
@@ -112,7 +111,9 @@ def signal_charts(flight: Flight, line: Timeline) -> Iterator[Chart]:
             yield Chart(f"{kind}-{name}", f"{kind.capitalize()} {name}", chart)
 
 
-def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator[Chart]:
+def coefficient_charts(
+    flight: Flight, line: Timeline, truth: Mapping[str, float]
+) -> Iterator[Chart]:
     """Yield the charts of all coefficients, with a band of one sigma and any true value."""
     kept = np.linspace(0, len(flight.tick_t) - 1, COEFFICIENT_POINTS).round().astype(int)
     kept = np.unique(kept)
@@ -120,7 +121,7 @@ def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator
     for name, index in zip(structure.names, structure.free, strict=True):
         value, sigma = (history[kept] for history in flight.estimates.history(index))
         low, high = value - sigma, value + sigma
-        true_t, true = truth.steps(name, flight.span[1])
+        true = [truth[name]] * 2 if name in truth else []
         chart = line.figure("", 130)
         settled = t >= t[0] + SETTLED_SHARE * (t[-1] - t[0])
         bottom = np.percentile(low[settled], 100.0 - BAND_SHARE)
@@ -132,8 +133,8 @@ def coefficient_charts(flight: Flight, line: Timeline, truth: Truth) -> Iterator
         chart.varea("t", "low", "high", source=source, color=COLORS["tick"], alpha=0.25)
         chart.add_layout(Span(dimension="width", location=0.0, line_color=COLORS["muted"]))
         line.line(chart, source, "value", "tick", name=name, line_width=1.5)
-        if true_t:
-            known = columns({"t": true_t, "true": true})
+        if true:
+            known = columns({"t": flight.span, "true": true})
             line.line(chart, known, "true", "truth", line_dash="dashed", line_width=1.5)
         yield Chart(f"coefficient-{name.replace('/', '-')}", name, chart, small=True)
 

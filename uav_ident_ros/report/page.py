@@ -69,7 +69,7 @@ def sections(replayed: Replayed) -> Iterator[Section]:
             " The charts are at the airspeed flown, the table is at the reference, "
             f"{flight.settings.airspeed.reference:g} m/s."
         )
-    table = coefficients_table(summary, truth if truth.values else None)
+    table = coefficients_table(summary, truth)
     known = [table, *tables.coefficient_correlations(identifier.estimator.information)]
     yield Section("coefficients", "Coefficients", [text], known, coefficients)
     if replayed.modes:

@@ -38,7 +38,7 @@ def write_picture(
 ) -> None:
     """Draw a replay as a PNG; raises `BagWriteError` if the file cannot be written."""
     flight, fit = replayed.flight, replayed.fits[FIT_WINDOWS]
-    truth = read_truth(replayed.bag, flight.structure).values
+    truth = read_truth(replayed.bag, flight.structure)
     figure = Figure(figsize=SIZE, layout="constrained")
     panels = figure.subplots(3, 2, sharex="col", width_ratios=(1.1, 1.0))
     for axis, (left, right) in enumerate(panels):

@@ -2,7 +2,6 @@
 """Recording of measured flights as bags, and the parameters for their topics."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -107,9 +106,8 @@ def parameters(measurements: Measurements) -> dict[str, Any]:
 def truth(measurements: Measurements) -> dict[str, Any]:
     """Return the truth of the flight: coefficients and derivatives in SI, aircraft axes.
 
-    At the time of a change (s), each of its coefficients is multiplied by the factor. Local
-    derivatives hold at the trimmed flight condition. The excitation has start and end, s after the
-    first Imu sample.
+    The coefficients are those at the start, local derivatives hold at the trimmed flight condition.
+    The excitation has start and end, s after the first Imu sample.
     """
     flight = measurements.flight
     out: dict[str, Any] = {"flight": flight.name}
@@ -118,8 +116,6 @@ def truth(measurements: Measurements) -> dict[str, Any]:
         values = (float(flight.coefficients[index]) for index in structure.free)
         out["structure"] = structure.name
         out["coefficients"] = dict(zip(structure.names, values, strict=True))
-    if flight.changes:
-        out["changes"] = [asdict(change) for change in flight.changes]
     if flight.local_truth:
         out["local_derivatives"] = dict(flight.local_truth)
     return out | {"excitation": [list(pair) for pair in flight.excitation]}
