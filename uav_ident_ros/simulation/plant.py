@@ -34,7 +34,7 @@ from uav_ident_ros.simulation.live import Live, Plan
 from uav_ident_ros.simulation.noise import Sensors
 
 DEFAULT_TRIM = (0.0, 0.0, 0.0, 0.5)
-"""Surfaces centred (rad), half throttle."""
+"""Trim of de, dr, da, dth: surfaces centred (rad), half throttle."""
 
 MAX_SUBSTEPS = 200
 """Largest number of substeps in a sample, tried for a grid that fits actuator rate and delay."""
@@ -101,12 +101,8 @@ class PlantFlight(Plan):
     gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis independently
     # Variation of the specific force, m/s^2, on each axis; about (0, 0, -g)
     force: ColouredNoise = CALM
-    # (3,) Constant angular acceleration, rad/s^2, as from an error of the trim
-    moment: Sequence[float] = (0.0, 0.0, 0.0)
     autopilot: bool = False  # Whether feedback of the true rates is added to the excitation
     changes: tuple[CoefficientChange, ...] = ()  # Coefficients that change in flight
-    # (4,) Trim of de, dr, da, dth: the plain raw channels at zero deviation
-    trim: Sequence[float] = DEFAULT_TRIM
     initial_rates: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) p, q, r at the start, rad/s
     max_step: float = 1e-3  # Largest integration step, s
 
@@ -132,7 +128,7 @@ class PlantFlight(Plan):
     def fly(self, name: str = "") -> Flight:
         """Simulate the flight; see `Plan.fly`. An unstable plant raises SimulationError."""
         gust_rng, force_rng = (np.random.default_rng([self.seed, k]) for k in range(2))
-        gust = np.asarray(self.moment) + self.gusts.sample(self.samples, 3, self.rate, gust_rng)
+        gust = self.gusts.sample(self.samples, 3, self.rate, gust_rng)
         force = self.force.sample(self.samples, 3, self.rate, force_rng) - [0.0, 0.0, GRAVITY]
         live = _LivePlant(self, self.substeps, gust)
         _, commands, common = live.record(self, live.commanded)
@@ -140,7 +136,7 @@ class PlantFlight(Plan):
             name=name or self.vehicle.name,
             specific_force=force,
             inputs=commands,
-            trim=np.asarray(self.trim, dtype=np.float64),
+            trim=np.array(DEFAULT_TRIM),
             structure=self.vehicle.structure,
             coefficients=np.asarray(self.vehicle.coefficients, dtype=np.float64),
             changes=self.changes,
