@@ -52,9 +52,9 @@ def reference(flight: Flight, gust: np.ndarray, edges: np.ndarray) -> np.ndarray
         {"time_constant": 0.05, "delay": 0.01},
         {"changes": (CoefficientChange(0.2, {"pdot/da": 0.5, "qdot/de": 0.5}),)},
         {"rate": 200.0, "max_step": 2.5e-3},
-        {"initial_rates": (1.0, -0.5, 0.4)},
+        {"initial_rates": (1.0, -0.5, 0.4), "moment": (1.0, -2.0, 0.5)},
     ],
-    ids=["servo", "change", "coarse", "start"],
+    ids=["servo", "change", "coarse", "moment"],
 )
 def test_the_plant_agrees_with_scipy(changes: dict) -> None:
     spec = PlantFlight(EXCITED, 0.4, actuator_rate=50.0, **changes)

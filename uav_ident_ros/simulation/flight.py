@@ -83,8 +83,6 @@ class Flight:
     changes: tuple[CoefficientChange, ...] = ()  # Its changes in flight
     # True local derivatives of a nonlinear aircraft, by name
     local_truth: dict[str, float] = field(default_factory=dict)
-    # (start, end) Intervals of excitation, s after the first sample
-    excitation: tuple[tuple[float, float], ...] = ()
     airspeed: FloatArray | None = None  # (N,) True airspeed, m/s
     # Parameters of the identifier for this aircraft, by name
     parameters: dict[str, Any] = field(default_factory=dict)

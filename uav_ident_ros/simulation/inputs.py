@@ -109,14 +109,3 @@ class Segment:
 def sample_inputs(segments: Sequence[Segment], t: FloatArray) -> FloatArray:
     """Return the sum of all segments at times t (s): de, dr, da, dth, shape (len(t), 4)."""
     return sum((segment.sample(t) for segment in segments), np.zeros((len(t), len(INPUTS))))
-
-
-def excited_intervals(
-    segments: Sequence[Segment], duration: float
-) -> tuple[tuple[float, float], ...]:
-    """Return (start, end), s, of every segment with a nonzero input."""
-    return tuple(
-        (s.start, min(duration, s.start + s.duration))
-        for s in segments
-        if any(s.amplitudes.values())
-    )

@@ -23,7 +23,7 @@ from uav_ident_ros.simulation.flight import (
     stamps,
     whole_steps,
 )
-from uav_ident_ros.simulation.inputs import Segment, excited_intervals, sample_inputs
+from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 from uav_ident_ros.simulation.noise import Sensors, airspeed_step
 
 SIMULATION_RATE = 1000.0
@@ -211,7 +211,6 @@ class Live:
             "injected": excitation,
             "delay": plan.delay,
             "time_constant": plan.time_constant,
-            "excitation": excited_intervals(plan.segments, (plan.samples - 1) / plan.rate),
         }
         return table, np.array(commands), common
 

@@ -101,6 +101,8 @@ class PlantFlight(Plan):
     gusts: ColouredNoise = CALM  # Angular acceleration, rad/s^2, on each axis independently
     # Variation of the specific force, m/s^2, on each axis; about (0, 0, -g)
     force: ColouredNoise = CALM
+    # (3,) Constant angular acceleration, rad/s^2, as from an error of the trim
+    moment: Sequence[float] = (0.0, 0.0, 0.0)
     autopilot: bool = False  # Whether feedback of the true rates is added to the excitation
     changes: tuple[CoefficientChange, ...] = ()  # Coefficients that change in flight
     initial_rates: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) p, q, r at the start, rad/s
@@ -128,7 +130,7 @@ class PlantFlight(Plan):
     def fly(self, name: str = "") -> Flight:
         """Simulate the flight; see `Plan.fly`. An unstable plant raises SimulationError."""
         gust_rng, force_rng = (np.random.default_rng([self.seed, k]) for k in range(2))
-        gust = self.gusts.sample(self.samples, 3, self.rate, gust_rng)
+        gust = np.asarray(self.moment) + self.gusts.sample(self.samples, 3, self.rate, gust_rng)
         force = self.force.sample(self.samples, 3, self.rate, force_rng) - [0.0, 0.0, GRAVITY]
         live = _LivePlant(self, self.substeps, gust)
         _, commands, common = live.record(self, live.commanded)

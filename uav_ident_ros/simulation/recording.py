@@ -107,7 +107,6 @@ def truth(measurements: Measurements) -> dict[str, Any]:
     """Return the truth of the flight: coefficients and derivatives in SI, aircraft axes.
 
     The coefficients are those at the start, local derivatives hold at the trimmed flight condition.
-    The excitation has start and end, s after the first Imu sample.
     """
     flight = measurements.flight
     out: dict[str, Any] = {"flight": flight.name}
@@ -118,7 +117,7 @@ def truth(measurements: Measurements) -> dict[str, Any]:
         out["coefficients"] = dict(zip(structure.names, values, strict=True))
     if flight.local_truth:
         out["local_derivatives"] = dict(flight.local_truth)
-    return out | {"excitation": [list(pair) for pair in flight.excitation]}
+    return out
 
 
 def yaml_text(content: Mapping[str, Any], comment: str) -> str:
