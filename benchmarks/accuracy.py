@@ -61,9 +61,7 @@ def _cell(case: cases.Case, structure: str, method: str, track: cases.Track) -> 
     # The criterion of the offline fit: a prediction with the measured forces of a past second.
     fits = {"model": cases.given_force(score), "hold": score.hold, "truth": np.full(3, np.nan)}
     if isinstance(case.samples, Measurements):
-        flight, at_ns = case.samples.flight, case.samples.true_t_ns
-        true = flight.rates[np.searchsorted(flight.t_ns, at_ns)]
-        fits["truth"] = cases.given_force(cases.score(case, track, true))
+        fits["truth"] = cases.given_force(cases.score(case, track, case.samples.true_rates))
     return {
         "structure": structure,
         "method": method,

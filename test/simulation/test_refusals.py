@@ -48,7 +48,7 @@ REFUSED: list[tuple[str, Callable[[], object]]] = [
     ("flap", lambda: Segment("multisine", amplitudes={"flap": 0.1})),
     ("at least 4", lambda: Segment("multisine", period=1.0, amplitudes=FOUR).sample(np.zeros(1))),
     ("unit", lambda: Segment("3211", unit=0.0)),
-    ("duration", lambda: Segment("3211", duration=-1.0)),
+    ("duration", lambda: Segment("quiet", duration=-1.0)),
     ("delay", lambda: flown(delay=0.0105123)),
     ("duration", lambda: flown(duration=0.0)),
     ("rate", lambda: flown(rate=-1.0)),

@@ -46,7 +46,7 @@ CALM = ColouredNoise()
 """No disturbance."""
 
 
-INPUT_KINDS = ("multisine", "3211", "doublet")
+INPUT_KINDS = ("multisine", "3211", "doublet", "quiet")
 """Kinds of excitation by name."""
 
 PAUSE = 2.0
@@ -57,7 +57,7 @@ PAUSE = 2.0
 class Segment:
     """One interval of excitation."""
 
-    kind: str  # One of `INPUT_KINDS`
+    kind: str  # ``multisine``, ``3211``, ``doublet`` or ``quiet``
     # start, duration: Start and length, s. Outside of the segment the inputs are zero.
     start: float = 0.0
     duration: float = math.inf
@@ -98,6 +98,8 @@ class Segment:
 
     def _shapes(self, t: FloatArray, count: int) -> FloatArray:
         """Return the normalised inputs, within -1 ... 1, at times (s) since the start."""
+        if self.kind == "quiet":
+            return np.zeros((len(t), count))
         if self.kind == "multisine":
             try:
                 return multisines(t, count, self.period, self.band, self.seed)

@@ -147,6 +147,11 @@ class Measurements(Samples):
         """frame_id of the Imu messages."""
         return FRAME_IDS[self.sensors.convention]
 
+    @property
+    def true_rates(self) -> FloatArray:
+        """Noise-free p, q, r (FRD, rad/s) at the true times of the Imu samples."""
+        return self.flight.rates[np.searchsorted(self.flight.t_ns, self.true_t_ns)]
+
 
 def measure(
     flight: Flight,  # The noise-free record
