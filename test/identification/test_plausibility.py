@@ -439,6 +439,23 @@ def test_with_a_known_sum_the_lag_error_counts_to_second_order() -> None:
         assert widened == pytest.approx(9.0 * share, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("delay", "rise", "share"), [(0.009, 9.0, 0.0), (0.015, 9.0, 0.05), (0.015, 3.0, 0.0)]
+)
+def test_of_a_possible_delay_error_what_exceeds_a_sigma_counts(
+    delay: float, rise: float, share: float
+) -> None:
+    """Below two sigma the error is not sure, and the row not denied."""
+    structure = STRUCTURES["flight_dynamics"]
+    values, roll = np.zeros((5, structure.size)), structure.index("pdot/da")
+    values[roll], values[structure.index("pdot/p")] = 60.0, -10.0
+    estimate, setup = DelayEstimate(delay, 0.01, rise=rise), SetupErrors(structure, 20.0)
+    setup.look(values, estimate, 0.0, 0.0, lambda: np.zeros(4), 0.0, lag_is_configured=True)
+    widened = setup.widened(np.full(values.shape, 1e-6))[roll]
+    assert widened == pytest.approx(60.0 * share, abs=1e-5)
+    assert not any(setup.denied(values, 4.0))
+
+
 def test_a_configured_height_is_no_error() -> None:
     identifier, last = with_an_imu_at(0.3, 0.3)
     assert identifier.estimator.height == 0.0

@@ -137,6 +137,10 @@ class DelayEstimate:
         wrong = self.rise >= DOUBTLESS and abs(off) > 2.0 * self.sigma
         return off if wrong else 0.0
 
+    def beyond(self, delay: float) -> float:
+        """Return the part of a delay's error that exceeds the estimate's sigma, s."""
+        return max(abs(self.delay - delay) - self.sigma, 0.0)
+
     def excess(self, lag: float) -> float:
         """Return the rms part of a servo lag in use that may be too much, s.
 

@@ -556,8 +556,12 @@ class SetupErrors:
         if late:
             reason = estimate.contradiction(delay, held())
             self._found.append(SetupError(self._delay_error(values, late), reason))
-        elif estimate.sure and (estimate.from_injected or not lag_is_configured):
-            self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
+        elif estimate.sure:
+            if beyond := estimate.beyond(delay):
+                reason = estimate.contradiction(delay, held())
+                self._found.append(SetupError(self._delay_error(values, beyond), reason))
+            if estimate.from_injected or not lag_is_configured:
+                self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
         if height:
             self._found.append(self._height_error(values, height))
 
