@@ -547,6 +547,17 @@ def _blocked(series: Series) -> Iterator[Trial]:
             )  # fmt: skip
 
 
+def _noisy_airspeed(series: Series) -> Iterator[Trial]:
+    """Excitation, with an airspeed as noisy as that of a light aircraft's pitot tube, or more."""
+    for (aircraft, wind, more), noise in product(
+        (("light_aircraft", 0.3, {"speed": 13.0}), ("ultra_stick_25e", 1, {}), ("c172p", 3, {})),
+        (0.5, 3.0),
+    ):
+        sensors = replace(SENSORS, airspeed_noise=noise)
+        label = f"airspeed with a noise of {noise:g} m/s"
+        yield series.trial(aircraft, label, bank=20.0, wind=wind, sensors=sensors, **more)
+
+
 def _loaded(series: Series) -> Iterator[Trial]:
     """Excitation; a load is dropped or added, and the whole row changes with the inertia."""
     for rows, factor in (
@@ -596,7 +607,7 @@ CLASSES = {
     for make in (
         _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _weak, _glitch, _clean,
         _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _launched, _blocked,
-        _loaded, _retrimmed, _mistakes, _recorded,
+        _noisy_airspeed, _loaded, _retrimmed, _mistakes, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""

@@ -159,8 +159,8 @@ def test_the_client_predicts_and_linearises_own_regressors(seed: int, structure:
 def test_own_regressors_grow_with_their_power_of_the_airspeed() -> None:
     chosen = Settings.from_values({"airspeed.type": "std_msgs/msg/Float64", "structure": OWN.name})
     scaling = SpeedScaling(chosen.airspeed, OWN)
-    scaling.airspeed.append(1, (2.0 * chosen.airspeed.reference,))
-    scaling.airspeed.merge(1)
+    scaling.samples.append(1, (2.0 * chosen.airspeed.reference,))
+    scaling.samples.merge(1)
     scaling.update(1)
     assert scaling.scale[OWN.index("pdot/da|da|")] == 4.0
     assert scaling.scale[OWN.index("qdot/q|q|")] == 1.0

@@ -11,7 +11,7 @@ from flying import AMPLITUDES
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import AirspeedSettings, Settings
-from uav_ident_ros.identification.speed import SpeedScaling
+from uav_ident_ros.identification.speed import AirspeedFilter, SpeedScaling
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 from uav_ident_ros.simulation.plant import SMALL_UAV
@@ -62,17 +62,22 @@ MEASURED = {"airspeed.type": "std_msgs/msg/Float64", "airspeed.reference": REFER
 
 
 def identify(
-    silent: tuple[float, float] = (0.0, 0.0), **values: Any
+    silent: tuple[float, float] = (0.0, 0.0), noise: float = 0.0, **values: Any
 ) -> tuple[OnlineIdentifier, list[Estimate]]:
-    """The identifier after the flight, and its estimates; no airspeed in an interval, s."""
+    """The identifier after the flight, and its estimates.
+
+    No airspeed arrives in an interval, s; it has a noise, m/s rms.
+    """
     plain = {"structure": STRUCTURE.name, **FRD}
+    rng = np.random.default_rng(1)
     identifier = OnlineIdentifier(Settings.from_values({**plain, **values}))
     estimates: list[Estimate] = []
     for t, x, u in zip(*flown(), strict=True):
         t_ns = START_NS + round(t * 1e9)
         identifier.add_actuators(t_ns, u.tolist())
         if not silent[0] < t < silent[1]:
-            identifier.add_airspeed(t_ns, float(airspeed(t)))
+            measured = airspeed(t) + noise * rng.standard_normal()
+            identifier.add_airspeed(t_ns, float(measured))
         identifier.add_rates(t_ns, x.tolist())
         estimates += identifier.advance()
     return identifier, estimates
@@ -106,9 +111,113 @@ def test_without_an_airspeed_the_scaling_is_off() -> None:
 )
 def test_the_scaling_is_limited_to_three_times_the_reference(speed: float, ratio: float) -> None:
     scaling = SpeedScaling(AirspeedSettings("std_msgs/msg/Float64", REFERENCE), STRUCTURE)
-    scaling.airspeed.append(START_NS, (speed,))
-    scaling.airspeed.merge(START_NS)
+    scaling.samples.append(START_NS, (speed,))
+    scaling.samples.merge(START_NS)
     scaling.update(START_NS)
     assert scaling.newest == speed
     assert scaling.scale[STRUCTURE.index("pdot/p")] == pytest.approx(ratio)
     assert scaling.scale[STRUCTURE.index("pdot/da")] == pytest.approx(ratio**2)
+
+
+def filtered(samples: FloatArray, interval: float = 0.1) -> tuple[FloatArray, FloatArray]:
+    """Airspeed and its sigma after each of some samples, m/s, an interval, s, apart."""
+    found, out = AirspeedFilter(), []
+    for k, sample in enumerate(samples.tolist()):
+        found.add(START_NS + round(1e9 * interval * k), sample)
+        out.append((found.airspeed, found.sigma))
+    return np.array(out).T
+
+
+def random_walk(step: float, noise: float) -> tuple[FloatArray, FloatArray]:
+    """An airspeed in gusts, and its samples over ten minutes, m/s."""
+    rng = np.random.default_rng(1)
+    true = 20.0 + step * np.cumsum(rng.standard_normal(6000))
+    return true, true + noise * rng.standard_normal(len(true))
+
+
+@pytest.mark.parametrize(("step", "noise"), [(0.05, 0.5), (0.1, 0.3), (0.3, 0.3), (0.2, 3.0)])
+def test_the_filter_is_as_good_as_the_kalman_filter_of_the_known_noise(
+    step: float, noise: float
+) -> None:
+    true, samples = random_walk(step, noise)
+    found, sigma = (signal[600:] for signal in filtered(samples))
+    ratio = (step / noise) ** 2  # Harvey 1989, section 4.1.2
+    gain = 0.5 * (np.sqrt(ratio**2 + 4.0 * ratio) - ratio)
+    least = noise * np.sqrt(gain)
+    assert np.sqrt(np.mean((found - true[600:]) ** 2)) < 1.1 * least
+    assert np.median(sigma) == pytest.approx(least, rel=0.15)
+
+
+def test_an_airspeed_without_noise_passes_as_it_is() -> None:
+    samples = airspeed(np.arange(0.0, 120.0, 0.1))
+    found, sigma = filtered(samples)
+    np.testing.assert_array_equal(found, samples)
+    assert not sigma.any()
+    true, samples = random_walk(0.3, 0.0)
+    # the bandwidth of 32 1/s keeps a share of exp(-3.2) of a step
+    assert np.std((filtered(samples)[0] - true)[600:]) < 0.05 * 0.3
+
+
+def test_a_step_of_the_sensor_and_its_return_are_followed_at_once() -> None:
+    _, samples = random_walk(0.05, 0.5)
+    samples[3000:3100] *= 0.7
+    found, _ = filtered(samples)
+    assert found[3000] == samples[3000]
+    assert found[3100] == samples[3100]
+    assert np.std(np.diff(found[3200:])) < 0.3 * np.std(np.diff(samples[3200:]))
+
+
+def test_after_a_silence_the_airspeed_is_the_new_sample() -> None:
+    true, samples = random_walk(0.05, 0.5)
+    found = AirspeedFilter()
+    for k, sample in enumerate(samples[:1000].tolist()):
+        found.add(START_NS + k * 10**8, sample)
+    found.add(START_NS + 120 * 10**9, true[1000] + 1.5)
+    assert found.airspeed == pytest.approx(true[1000] + 1.5, abs=0.02)
+
+
+def test_a_new_time_base_begins_with_its_first_sample_and_the_known_noise() -> None:
+    true, samples = random_walk(0.05, 0.5)
+    found = AirspeedFilter()
+    for k, sample in enumerate(samples[:1000].tolist()):
+        found.add(START_NS + k * 10**8, sample)
+    found.restart()
+    errors = []
+    for k, sample in enumerate(samples[1000:1100].tolist()):
+        found.add(k * 10**8 + 1, sample)
+        errors.append(found.airspeed - true[1000 + k])
+    assert found.airspeed != samples[1099]
+    assert errors[0] == pytest.approx(samples[1000] - true[1000])
+    assert np.std(errors[10:]) < 0.25  # not the 0.5 of the samples
+
+
+def test_noise_of_the_airspeed_neither_shakes_the_coefficients_nor_escapes_sigma() -> None:
+    _, estimates = identify(noise=3.0, **MEASURED)
+    late = [e for e in estimates if (e.t_ns - START_NS) * 1e-9 > 20.0]
+    for name in ("pdot/da", "qdot/de", "rdot/dr"):
+        place = STRUCTURE.index(name)
+        value, sigma = np.array([(e.coefficients[place], e.sigma[place]) for e in late]).T
+        speed = airspeed(np.array([(e.t_ns - START_NS) * 1e-9 for e in late]))
+        true = PLANT.coefficients[place] * (speed / REFERENCE) ** 2
+        error = value - true
+        assert np.std(error / true) < 0.1, name  # 0.3 with the samples as they are
+        assert np.mean(np.abs(error) < 2.0 * sigma) > 0.9, name
+
+
+def test_sigma_of_the_airspeed_enters_by_the_power_of_each_coefficient() -> None:
+    scaling = SpeedScaling(AirspeedSettings("std_msgs/msg/Float64", REFERENCE), STRUCTURE)
+    samples = random_walk(0.05, 0.5)[1][:600]
+    for k, sample in enumerate(samples.tolist()):
+        scaling.samples.append(START_NS + k * 10**8, (sample,))
+    scaling.samples.merge(START_NS + 10**12)
+    scaling.update(START_NS + 10**12)
+    sigma, share = np.where(STRUCTURE.mask, 0.1, 0.0), filtered(samples)[1][-1] / scaling.airspeed
+    fixed, inertia = STRUCTURE.index("pdot/dr"), STRUCTURE.index("pdot/qr")
+    sigma[fixed] = 0.0
+    wide = scaling.widened(sigma, 10.0 * PLANT.coefficients)
+    for name, power in (("pdot/p", 1.0), ("pdot/da", 2.0)):
+        place = STRUCTURE.index(name)
+        by_speed = power * share * 10.0 * PLANT.coefficients[place]
+        assert wide[place] == pytest.approx(np.hypot(0.1, by_speed))
+    assert wide[fixed] == 0.0
+    assert wide[inertia] == 0.1

@@ -277,7 +277,7 @@ class OnlineIdentifier:
             {
                 RATES: self.sampler.rates,
                 ACTUATORS: self.sampler.raw_inputs,
-                AIRSPEED: self._speed.airspeed,
+                AIRSPEED: self._speed.samples,
                 ARMED: self._armed,
                 EXCITATION: self.sampler.injected,
             }
@@ -509,7 +509,7 @@ class OnlineIdentifier:
                 length, leak = 0.0, min(leak, START_LEAK_TIME)
             now = self._flown
             if self._flow is not None:
-                block = self._flow.follow(block, now, speed.newest)
+                block = self._flow.follow(block, now, speed.airspeed)
                 if self._flow.realigned:
                     self._drifted, self._fresh = True, None
                     longest = self.settings.actuators.longest_delay
@@ -700,7 +700,8 @@ class OnlineIdentifier:
             )
             self._sigma = self._setup_errors.widened(estimator.sigma)
         if self._news or speed.enabled:
-            self._shown = self._flown, self._sigma * speed.scale
+            flown = self._flown
+            self._shown = flown, speed.widened(self._sigma * speed.scale, flown)
         if self._news:
             if supervision.plausibility:
                 self.plausibility.judge(*self._shown, self._flow.gyro if self._flow else None)
