@@ -19,6 +19,7 @@ from uav_ident_ros.identification.scales import (
     LONG_MEMORY,
     OUTLYING,
     ROUNDING,
+    START_TIME,
     TINY,
 )
 from uav_ident_ros.identification.structure import (
@@ -44,7 +45,7 @@ class ExchangedInputs:
     def __init__(self) -> None:
         k = len(REGRESSORS) + 1 + len(ROWS)
         self._sums = np.zeros((k, k))  # Fading, of the products of regressors, 1 and y, times dt
-        self._samples = 0.0  # Their number, fading
+        self._samples = self._time = 0.0  # Their number and time, s, fading
         # Effect of each main input on each row, and its standard deviation, (rows, inputs)
         self._effect, self._sigma = np.zeros((2, len(ROWS), len(MAINS)))
 
@@ -58,6 +59,7 @@ class ExchangedInputs:
         keep = np.exp(-samples.time / LONG_MEMORY)
         self._sums = keep * self._sums + samples.dt * signals.T @ signals
         self._samples = keep * self._samples + len(signals)
+        self._time = keep * self._time + samples.time
         if self._samples > len(self._sums):
             self._solve()
 
@@ -85,13 +87,15 @@ class ExchangedInputs:
     def turned(self, sure: float) -> FloatArray | None:
         """Return the angles about the roll and yaw axes that turn the Imu into place, rad, (2,).
 
-        An angle that is not significant is 0; None if neither is. An Imu turned by the rotation
-        vector -t shows the effect e of an input as ``e - t x e``: four effects that a symmetric
-        aircraft does not have. They must agree on t, for no aircraft is quite symmetric.
+        An angle that is not significant is 0. None if neither is, or before `START_TIME`.
+
+        An Imu turned by the rotation vector -t shows the effect e of an input as ``e - t x e``:
+        four effects that a symmetric aircraft does not have. They must agree on t, for no aircraft
+        is quite symmetric.
         """
         sigma = self._sigma[[0, 2, 1, 1], [1, 1, 0, 2]]
         least = float(sigma.min())
-        if not 0.0 < least < np.inf:  # Not solved yet, or no input has moved
+        if self._time < START_TIME or not np.isfinite(least):  # No input has moved
             return None
         (l_a, l_e, l_r), (m_a, m_e, m_r), (n_a, n_e, n_r) = self._effect
         by_turn = np.array([[0.0, m_e], [-m_e, 0.0], [n_a, -l_a], [n_r, -l_r]])
@@ -115,13 +119,13 @@ class ExchangedInputs:
         """
         k = len(self._sums) - len(ROWS)
         power, squares = np.split(np.diagonal(self._sums), [k])
-        time, moved = power[-1], power > 0.0
+        moved = power > 0.0
         scale = np.where(moved, 1.0 / np.sqrt(np.where(moved, power, 1.0)), 0.0)
         ff, fy = self._sums[:k, :k], self._sums[:k, k:]
         inverse = np.linalg.inv(ff * np.outer(scale, scale) + ROUNDING * np.eye(k))
         solved = scale[:, None] * (inverse @ (scale[:, None] * fy))
         left = squares - (solved * fy).sum(axis=0)
         # Each row's mean square, by the degrees of freedom that are left
-        square = np.maximum(left, TINY) / time * self._samples / (self._samples - k)
+        square = np.maximum(left, TINY) / self._time * self._samples / (self._samples - k)
         spread = np.where(moved, np.diagonal(inverse) * scale**2 * INDEPENDENT_TIME, np.inf)[MAINS]
         self._effect, self._sigma = solved[MAINS].T, np.sqrt(np.outer(square, spread))
