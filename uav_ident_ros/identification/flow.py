@@ -3,9 +3,10 @@
 
 Attitude: a complementary filter on the direction of gravity, ``gdot = -(omega + k m x g) x g``
 with ``m`` the direction of the centripetal acceleration ``V x omega`` less the specific force
-(Mahony, Hamel and Pflimlin 2008), and omega less a significant bias of the gyro. Flow angles: their
-kinematics with the measured rates and forces, corrected towards the angle at which the force rows
-give the measured force.
+(Mahony, Hamel and Pflimlin 2008), and omega less a significant bias of the gyro. The filter that
+finds it gives the attitude from then on, block by block. Flow angles: their kinematics with the
+measured rates and forces, corrected towards the angle at which the force rows give the measured
+force.
 """
 
 from __future__ import annotations
@@ -197,7 +198,7 @@ class FlowObserver:
         self._steps, self._steps_time, known = [], 0.0, self.gyro.found
         self.gyro.add(times, rates, force, airspeed)
         self.realigned = self.gyro.found and not known
-        if self.realigned:
+        if self.gyro.found:
             x, y, z = self.gyro.down.tolist()
             self.down, self._bias = (x, y, z), (0.0, 0.0, 0.0)
 

@@ -78,13 +78,11 @@ class GyroFilters:
         self._count = 0.0
         self._information: FloatArray = np.tile(_PRIOR, (len(HYPOTHESES), 1, 1))
         self._down: FloatArray | None = None  # (h, 3) Unit vectors
-        self.found = False  # Whether the bias with the configured axes has been significant
-
-    @property
-    def down(self) -> FloatArray:
-        """Unit vector that points down at the end of the last block, configured axes, (3,)."""
-        assert self._down is not None
-        return np.asarray(self._down[0])
+        # With the configured axes: bias of the rates p, q, r, rad/s, zero until it is significant,
+        # and the unit vector that points down at the end of the last block, with this bias
+        self.bias: FloatArray = np.zeros(3)
+        self.down: FloatArray = np.eye(3)[2]
+        self.found = False  # Whether the bias has been significant; it then stays in use
 
     def restart(self) -> None:
         """Begin with an unknown attitude; biases and evidence are kept."""
@@ -126,18 +124,25 @@ class GyroFilters:
         information = self._information + weighted @ slope[1]
         error = np.linalg.solve(information, weighted @ innovation[1, ..., None])[..., 0]
         self._turn(turns[:, -1], lever[:, -1], error, information, time)
-        self.found = self.found or self._is_significant()
+        self._subtract_bias()
 
-    @property
-    def bias(self) -> FloatArray:
-        """Bias of the rates p, q, r with the configured axes, rad/s, (3,); zero until found."""
-        return np.asarray(self._bias[0] * self.found)
+    def _subtract_bias(self) -> None:
+        """Set bias and attitude, once the bias is significant, by what the flight has shown of it.
 
-    def _is_significant(self) -> bool:
-        bias, covariance = self._bias[0], np.linalg.inv(self._information[0])[3:, 3:]
+        A component that is subtracted leaves its variance, one that is not its square.
+        """
+        assert self._down is not None
+        covariance = np.linalg.inv(self._information[0])
+        variances, directions = np.linalg.eigh(covariance[3:, 3:])
+        components = self._bias[0] @ directions
         # Innovations larger than assumed count by their ratio
         larger = max(1.0, float(self._squares[0]) / self._count)
-        return bool(bias @ np.linalg.solve(covariance, bias) > DOUBTLESS**2 * larger)
+        squares = components**2 / (larger * variances)
+        self.found = self.found or bool(squares.sum() > DOUBTLESS**2)
+        shown = self.found & (squares > 1.0)
+        self.bias = directions @ np.where(shown, components, 0.0)
+        missing = directions @ np.where(shown, 0.0, components / variances)
+        self.down = _unit(self._down[0] - np.cross(covariance[:3, 3:] @ missing, self._down[0]))
 
     def _judge(self, innovation: FloatArray, slope: FloatArray, keep: float) -> None:
         """Add the squares of the predicted innovations; their sum so far counts by `keep`."""
