@@ -41,6 +41,9 @@ RETRIM, RETRIM_TIME = 0.1, 2.0
 CLIP = 0.4
 """Limit of a clipped record, relative to the largest command."""
 
+WINDY: Mapping[str, float] = {"light_aircraft": 0.3, "c172p": 3, "T37": 3}
+"""Aircraft of the classes that differ in the Imu or the trim alone, and their wind as in `fly`."""
+
 LONG, SHORT = 1.0, 0.8
 """Relative length of the flights; `SHORT` still includes the failure and the glitch."""
 
@@ -325,7 +328,7 @@ def _untold(series: Series) -> Iterator[Trial]:
 
 def _biased(series: Series) -> Iterator[Trial]:
     """Excitation, with a constant error of the gyro."""
-    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 3), ("T37", 3)):
+    for aircraft, wind in WINDY.items():
         for size in (0.05, 0.1):
             sensors = replace(SENSORS, gyro_bias=(size, -size, 0.7 * size))
             label = f"gyro bias {size:g} rad/s"
@@ -578,7 +581,7 @@ def _retrim(surface: int, when: float, measured: Measurements) -> Measurements:
 
 def _retrimmed(series: Series) -> Iterator[Trial]:
     """Excitation; the trim changes, as by flaps or a shifted load, and no channel shows it."""
-    for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 3), ("T37", 3)):
+    for aircraft, wind in WINDY.items():
         for name in ("de", "da"):
             spoil = partial(_retrim, INPUTS.index(name), 0.6 * series.length * CHANGED)
             label = f"trim of {name} + {RETRIM:g} rad"

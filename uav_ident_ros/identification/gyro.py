@@ -32,30 +32,20 @@ class Hypothesis(NamedTuple):
 
     gyro: tuple[int, int, int]  # Sign of each axis of the gyro
     ahead: int  # Sign of the airspeed along the longitudinal axis
-    problem: str
-    cure: str
+    problem: str = ""
+    cure: str = "Correct it where the Imu is published (REP-103)"
 
 
 HYPOTHESES = (
-    Hypothesis((1, 1, 1), 1, "the axes are as configured", ""),
+    Hypothesis((1, 1, 1), 1),
     Hypothesis(
         (1, 1, 1),
         -1,
         "the Imu points backwards, or its gyro has other axes than its accelerometer",
         "Add 3.14 to the yaw of imu.rpy, or publish both in the same axes",
     ),
-    Hypothesis(
-        (-1, 1, 1),
-        1,
-        "axis x or axis z of the gyro has the wrong sign",
-        "Correct it where the Imu is published (REP-103)",
-    ),
-    Hypothesis(
-        (1, -1, 1),
-        1,
-        "axis y of the gyro has the wrong sign, or all three have",
-        "Correct it where the Imu is published (REP-103)",
-    ),
+    Hypothesis((-1, 1, 1), 1, "axis x or axis z of the gyro has the wrong sign"),
+    Hypothesis((1, -1, 1), 1, "axis y of the gyro has the wrong sign, or all three have"),
 )
 """The configured axes, then those that are compared with them. The mirror image, in which roll and
 yaw rate are reversed, fits as well as each of them: so all wrong signs are covered but these two
