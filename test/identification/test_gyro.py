@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from flying import identified, light_measured
+from verdict_flights import fly
 
 from uav_ident_ros.identification.gyro import HYPOTHESES, GyroFilters
-from uav_ident_ros.identification.scales import DOUBTLESS, RESPONSE_TIME
+from uav_ident_ros.identification.scales import DOUBTLESS, RESPONSE_TIME, SURE
 from uav_ident_ros.identification.structure import FloatArray
 
 TICK = 0.05
@@ -36,9 +37,11 @@ def evidence(rates: FloatArray, force: FloatArray, airspeed: float = 20.0) -> Gy
     return filters
 
 
-def found(rates: FloatArray, force: FloatArray, airspeed: float = 20.0) -> str:
+def found(
+    rates: FloatArray, force: FloatArray, airspeed: float = 20.0, sure: float = DOUBTLESS
+) -> str:
     """Return what is wrong with the axes."""
-    axes = evidence(rates, force, airspeed).wrong_axes(DOUBTLESS)
+    axes = evidence(rates, force, airspeed).wrong_axes(sure)
     return axes[0].problem if axes else NONE
 
 
@@ -91,7 +94,7 @@ def test_a_biased_gyro_at_rest_shows_no_wrong_axes(airspeed: float) -> None:
     bias = np.array([0.05, -0.05, 0.05]) + np.cumsum(rng.normal(0.0, 1e-4, (count, 3)), axis=0)
     force = 9.80665 * np.array([math.sin(0.25), 0.0, -math.cos(0.25)])
     noise = rng.normal(0.0, 0.1, (count, 3))
-    assert found(bias + rng.normal(0.0, 0.01, (count, 3)), force + noise, airspeed) == NONE
+    assert found(bias + rng.normal(0.0, 0.01, (count, 3)), force + noise, airspeed, SURE) == NONE
 
 
 FLIGHTS = ({"bank": 20.0}, {"bank": 30.0, "gust": 2.0})
@@ -108,6 +111,20 @@ def test_an_imu_that_points_backwards_is_named_and_never_usable(flight: dict[str
     text = backwards[0].plausibility.noted["axes"].text
     assert text.startswith("the Imu points backwards, or")
     assert "Add 3.14 to the yaw of imu.rpy" in text
+
+
+def test_level_flight_brings_an_imu_that_points_backwards_in_doubt() -> None:
+    pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
+    measured = fly("T37", 1, duration=56.0)
+    (right, estimates), (backwards, doubted) = (
+        identified(measured, imu__rpy=(0.0, 0.0, yaw)) for yaw in (0.0, math.pi)
+    )
+    assert right.plausibility.doubt is None
+    assert estimates[-1].usable
+    assert backwards.plausibility.doubt is not None
+    assert doubted[-1].state == "learning"
+    assert "the Imu points backwards" in doubted[-1].reason
+    assert not any(doubted[-1].usable_rows)
 
 
 def test_a_gyro_axis_of_the_wrong_sign_is_named_and_never_usable() -> None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from verdict_flights import MISTAKES
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.frames import rotation
+from uav_ident_ros.identification.gyro import HYPOTHESES, GyroFilters, Hypothesis
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.plausibility import (
     Plausibility,
@@ -388,6 +389,35 @@ def test_a_reversed_surface_is_named_with_its_strongest_evidence() -> None:
     for t, sigma in ((1.0, 3.0), (6.0, 4.0), (7.0, 400.0)):
         learning.found(t, REVERSED, sigma)
     assert learning.checks.fault.startswith("pdot/da is -45 +- 4, expected is +")
+
+
+@dataclass
+class Evidence:
+    """Evidence for wrong axes in place of the gyro's filters."""
+
+    sigma: float
+
+    def wrong_axes(self, sure: float) -> tuple[Hypothesis, float] | None:
+        return (HYPOTHESES[1], self.sigma) if self.sigma > sure else None
+
+
+def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> None:
+    """Doubted axes take the verdict alone; beyond 4.1 sigma they are named as well."""
+    checks, nothing = Plausibility(settings_of()), np.zeros((0, 6))
+    values = matrix(STRUCTURES["flight_dynamics"], {})
+    for t, sigma, doubted, named in (
+        (1.0, 2.9, False, False),
+        (2.0, 3.1, True, False),
+        (7.0, 4.0, True, False),
+        (8.0, 2.0, True, False),
+        (9.0, 4.2, True, True),
+        (10.0, 3.1, True, True),
+        (11.0, -1.0, False, False),
+    ):
+        checks.look(t, nothing, nothing[:, :4])
+        checks.judge(values, np.ones_like(values), cast(GyroFilters, Evidence(sigma)))
+        assert (checks.doubt is not None, bool(checks.fault)) == (doubted, named), t
+        assert [finding.name for finding in checks.findings] == ["axes"] * named, t
 
 
 # --- small errors of the settings ---------------------------------------------------------------

@@ -735,9 +735,10 @@ class OnlineIdentifier:
             state, why = State.WAITING, "waiting for airspeed"
         else:
             state, why = supervisor.state()
-        sound = (
-            state is not State.FAULT and self._speed.believed and self.plausibility.doubt is None
-        )
+        doubt = self.plausibility.doubt
+        if doubt is not None and state in (State.LEARNING, State.CONVERGED):
+            state, why = State.LEARNING, doubt.finding.text
+        sound = state is not State.FAULT and self._speed.believed and doubt is None
         p, q, r = (sound and not reason for reason in supervisor.verdict)
         predicted = self._frame.to_imu(self._parallel.model.state[:3])
         newest = np.zeros(3) if self._newest_rates is None else self._newest_rates

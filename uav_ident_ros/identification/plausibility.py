@@ -123,8 +123,8 @@ def clock_step(seconds: float) -> Finding:
 class Doubt(NamedTuple):
     """Hypothesis that channels are swapped or reversed, or axes of the Imu.
 
-    It is dropped when it becomes the less likely. It is confirmed if it is significant again after
-    `ENOUGH` s.
+    No row is usable. It is dropped when it becomes the less likely. It is confirmed if it is
+    significant again after `ENOUGH` s, beyond `DOUBTLESS` if it is about the axes.
     """
 
     since: float  # s
@@ -197,7 +197,7 @@ class Plausibility:
             return (
                 sign_finding(*known, share * SURE, multirotor=motors)
                 or exchange_finding(self.exchanged, share * SURE, multirotor=motors)
-                or (axes_finding(gyro, share * DOUBTLESS) if gyro else None)
+                or (axes_finding(gyro, share * SURE) if gyro else None)
             )
 
         if turned := turn_finding(self.exchanged, self._imu):
@@ -209,9 +209,9 @@ class Plausibility:
                 self.doubt = None
         elif before is None or found.name != before.finding.name:
             self.doubt = Doubt(self._now, found)
-        else:
+        elif found.fault or not before.confirmed:
             confirmed = before.confirmed or self._now - before.since >= ENOUGH
-            self.doubt = Doubt(before.since, found, confirmed)
+            self.doubt = Doubt(before.since, found, confirmed and found.fault)
 
     def look(
         self,
@@ -506,6 +506,7 @@ def axes_finding(gyro: GyroFilters, sure: float) -> Finding | None:
         "axes",
         f"{axes.problem}: rotated by the gyro, the specific force fits straight flight better so, "
         f"by {sigma:.1f} standard deviations. {axes.cure}",
+        fault=sigma > DOUBTLESS,
     )
 
 
