@@ -186,7 +186,6 @@ class OnlineIdentifier:
         self.intake = Intake(settings, self.restart)
         self.supervisor = Supervisor(settings, self.structure, gates)
         self._fresh: SecondEstimator[Estimator] | None = None
-        self._drifted = False  # Whether samples with a wrong attitude, by a gyro bias, were used
         self.reset()
 
     def reset(self) -> None:
@@ -285,7 +284,7 @@ class OnlineIdentifier:
         self.intake.fault = ""
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = self.idle = 0.0
-        self._drifted = False
+        self._drifted = False  # Whether it has learned from a wrong attitude, by a gyro bias
         self.restart()
 
     def _is_warm(self) -> bool:
