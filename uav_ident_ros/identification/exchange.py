@@ -101,7 +101,7 @@ class ExchangedInputs:
         by_turn = np.array([[0.0, m_e], [-m_e, 0.0], [n_a, -l_a], [n_r, -l_r]])
         weights = least / sigma
         slope, shown = weights[:, None] * by_turn, weights * [l_e, n_e, m_a, m_r]
-        if np.square(shown).sum() <= (sure * least) ** 2:  # Nearly always: no angle exceeds it
+        if np.square(shown).sum() <= (sure * least) ** 2:  # Nearly always: no angle is significant
             return None
         information = slope.T @ slope
         if np.linalg.cond(information) > 1.0 / ROUNDING:  # Too few inputs have moved

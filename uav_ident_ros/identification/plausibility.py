@@ -472,13 +472,9 @@ def exchange_finding(
     )
 
 
-def turn_finding(
-    exchanged: ExchangedInputs,
-    imu: ImuSettings,
-    sure: float = SURE,  # Significance level, in standard deviations
-) -> Finding | None:
+def turn_finding(exchanged: ExchangedInputs, imu: ImuSettings) -> Finding | None:
     """Return a warning if inputs act on each other's axes as with an Imu that is turned."""
-    if (turn := exchanged.turned(sure)) is None:
+    if (turn := exchanged.turned(SURE)) is None:
         return None
     roll, yaw = turn.tolist()
     angles = [

@@ -197,11 +197,11 @@ class Feedback:
             for k in range(m):
                 past[k] = self._past
                 self._past = keep * self._past + moved[k]
-            answered, commanded = (
-                part.reshape(m, -1) for part in np.split(past, [len(ROWS)], axis=2)
+            residuals, commands = (
+                faded.reshape(m, -1) for faded in np.split(past, [len(ROWS)], axis=2)
             )
             signals[first:last] = np.hstack(
-                (answered, np.ones((m, 1)), now, own, *lagged, commanded)
+                (residuals, np.ones((m, 1)), now, own, *lagged, commands)
             )
             fade = np.exp(-counted * m / LONG_MEMORY)
             self._products *= fade
