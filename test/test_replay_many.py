@@ -389,7 +389,7 @@ def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) ->
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_bag_and_many_have_one_progress_bar(count: int, tmp_path: Path) -> None:
-    bags = [str(excerpt(tmp_path / "bag", 4.0))] * count
+    bags = [str(excerpt(tmp_path / "bag", 20.0))] * count  # Some draws of the bar, 0.1 s apart
     output = ["--output", str(tmp_path / "out"), "--jobs", "1"]
     command = [sys.executable, "-m", "uav_ident_ros", "replay", *bags, *output]
     nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
