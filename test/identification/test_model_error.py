@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from uav_ident_ros.identification.estimators.model_error import ModelError, _solved
+from uav_ident_ros.identification.estimators.model_error import Losses, ModelError, _solved
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.structure import STRUCTURES
 
@@ -237,6 +237,29 @@ def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:
 
     assert height(0.0) == pytest.approx(0.5, rel=0.2)
     assert height(0.5) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("found", "sigma", "kept"),
+    [(0.1, 0.08, False), (0.1, 0.1, True), (0.15, 0.08, True), (-0.1, 0.08, False)],
+)
+def test_an_earliness_is_refuted_by_blocks_that_would_show_it(
+    found: float, sigma: float, kept: bool
+) -> None:
+    """Of 0.27, in three sigma, they must show less than half."""
+    error_model, rows = ModelError(LAYOUT), len(LAYOUT.main) + len(LAYOUT.rolling)
+    error_model._early = np.array([0.0, 0.27, 0.0])
+    none = np.zeros((rows, 1, 2))
+    shown = Losses(
+        none - [0.0, found],
+        none,
+        np.full((rows, 1), sigma),
+        none,
+        np.zeros(rows),
+        np.ones(rows) > 0,
+    )
+    error_model._follow_earliness(shown)
+    assert error_model._early.tolist() == [0.0, 0.27 * kept, 0.0]
 
 
 def test_an_early_yaw_of_a_multirotor_counts_for_itself_alone() -> None:

@@ -205,12 +205,13 @@ class ModelError:
     def _follow_earliness(self, losses: Losses) -> None:
         """Take over a significant earliness; keep the last one unless these losses refute it.
 
-        Without that the few blocks after the start would clear what all together had shown.
+        They do where they would show it significantly, and are nearer to none. Without that the few
+        blocks after the start would clear what all together had shown.
         """
         rows = slice(len(ROWS))
         found, sigma = -losses.found[rows, 0, 1], losses.sigma[rows, 0]
         significant = losses.sure[rows, 0, 1] != 0.0
-        refuted = self._early > found + SURE * sigma
+        refuted = (self._early > SURE * sigma) & (self._early > 2.0 * found)
         early = np.where(significant, np.clip(found, 0.0, 1.0), np.where(refuted, 0.0, self._early))
         self._early = np.where(losses.informative[rows], early, self._early)
 
