@@ -138,8 +138,8 @@ class DelayEstimate:
         return off if wrong else 0.0
 
     def beyond(self, delay: float) -> float:
-        """Return the part of a delay's error that exceeds the estimate's sigma, s."""
-        return max(abs(self.delay - delay) - self.sigma, 0.0)
+        """Return the part of a delay's error that exceeds a sure estimate's sigma, s."""
+        return max(abs(self.delay - delay) - self.sigma, 0.0) if self.sure else 0.0
 
     def excess(self, lag: float) -> float:
         """Return the rms part of a servo lag in use that may be too much, s.

@@ -45,9 +45,14 @@ class ExchangedInputs:
     def __init__(self) -> None:
         k = len(REGRESSORS) + 1 + len(ROWS)
         self._sums = np.zeros((k, k))  # Fading, of the products of regressors, 1 and y, times dt
-        self._samples = self._time = 0.0  # Their number and time, s, fading
+        self._samples = 0.0  # Their number, fading
         # Effect of each main input on each row, and its standard deviation, (rows, inputs)
         self._effect, self._sigma = np.zeros((2, len(ROWS), len(MAINS)))
+
+    @property
+    def _time(self) -> float:
+        """Time of the samples, s, fading: the sum of the ones."""
+        return self._sums.item(len(REGRESSORS), len(REGRESSORS))
 
     def add(self, samples: Regression) -> None:
         """Add samples, and renew the effects."""
@@ -59,7 +64,6 @@ class ExchangedInputs:
         keep = np.exp(-samples.time / LONG_MEMORY)
         self._sums = keep * self._sums + samples.dt * signals.T @ signals
         self._samples = keep * self._samples + len(signals)
-        self._time = keep * self._time + samples.time
         if self._samples > len(self._sums):
             self._solve()
 

@@ -550,15 +550,11 @@ class SetupErrors:
         if not self._structure.has_flow:
             return
         late = max(abs(estimate.off(delay)), estimate.excess(lag))
-        if late:
+        if error := late or estimate.beyond(delay):
             reason = estimate.contradiction(delay, held())
-            self._found.append(SetupError(self._delay_error(values, late), reason))
-        elif estimate.sure:
-            if beyond := estimate.beyond(delay):
-                reason = estimate.contradiction(delay, held())
-                self._found.append(SetupError(self._delay_error(values, beyond), reason))
-            if estimate.from_injected or not lag_is_configured:
-                self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
+            self._found.append(SetupError(self._delay_error(values, error), reason))
+        if not late and estimate.sure and (estimate.from_injected or not lag_is_configured):
+            self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
         if height:
             self._found.append(self._height_error(values, height))
 
