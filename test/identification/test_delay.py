@@ -280,6 +280,17 @@ def test_a_block_with_huge_errors_counts_as_one_block() -> None:
     assert estimate.delay == pytest.approx(0.11, abs=estimate.sigma)
 
 
+def test_rates_that_disagree_on_the_delay_increase_its_sigma() -> None:
+    """Each bowl is alike: roll and yaw hold 0.1 s, pitch 0.06 s, and the mean's sigma is a third."""
+    pitch = [1]
+    errors, other = (curve(best, noise=1e-6) for best in (0.1, 0.06))
+    errors[..., pitch] = other[..., pitch]
+    estimate = delay.judge(errors, DELAYS)
+    assert estimate.delay == pytest.approx(0.1 - 0.04 / 3.0, abs=0.002)
+    spread = math.sqrt(estimate.sigma**2 - delay.SYSTEMATIC_ERROR**2)
+    assert spread == pytest.approx(0.04 / 3.0, rel=0.15)
+
+
 def test_feedback_increases_the_delays_sigma_by_the_unexplained_share() -> None:
     errors = curve(0.11)
     share = np.sqrt((1.0 / errors.sum(axis=0)[0].max(axis=0)).mean() * errors[:, 0].shape[0])

@@ -516,7 +516,8 @@ def judge(
     total, cost = np.exp(mean), means.mean(axis=3)
     _, least, inside = _vertices(cost, delays)
     # The squared error, not its logarithm, is a parabola.
-    squares = np.exp(means - means.min(axis=2, keepdims=True)).mean(axis=3)
+    by_axis = np.exp(means - means.min(axis=2, keepdims=True))
+    squares = by_axis.mean(axis=3)
     best, _, _ = _vertices(squares, delays)
     # A lag that is too long makes inputs act before they are given.
     early = np.minimum(best / SURE_SIGMA, 0.0)
@@ -529,6 +530,7 @@ def judge(
     found = np.stack((best[:, 0], whole), axis=1)
     # Variances of both, by the jackknife and by the halves.
     variance = (count - 1) * found[3:].var(axis=0) + 0.25 * (found[1] - found[2]) ** 2
+    variance += _spread_of_axes(by_axis[0, 0], delays, float(best[0, 0])) ** 2
     middle = int(np.argmin(cost[0, 0]))
     answered = np.broadcast_to(opposed, total[0].shape)
     variance += SYSTEMATIC_ERROR**2 + _feedback_lateness(total[0], middle, answered[middle]) ** 2
@@ -550,6 +552,26 @@ def judge(
 def _logarithms(errors: FloatArray) -> FloatArray:
     """Return the logarithms of errors, finite for an error of zero."""
     return np.asarray(np.log(np.maximum(errors, np.finfo(float).tiny)))
+
+
+def _spread_of_axes(
+    squares: FloatArray,  # (J, 3) Squared errors of p, q, r, relative to the least of each
+    delays: FloatArray,  # (J,) The delays, s
+    best: float,  # Delay of the least sum, s
+) -> float:
+    """Return the standard deviation of `best` by the disagreement of the three rates, s.
+
+    All inputs have one delay. Each rate pulls at the minimum of the sum by its own slope there
+    (cluster-robust variance with three clusters; Liang and Zeger 1986).
+    """
+    middle = int(np.clip(squares.sum(axis=1).argmin(), 1, len(delays) - 2))
+    low, here, high = squares[middle - 1 : middle + 2]
+    curvature = low - 2.0 * here + high
+    pull = 0.5 * (high - low) + curvature * (best - float(delays[middle])) / STEP
+    count, whole = squares.shape[1], float(curvature.sum())
+    if whole <= 0.0:
+        return 0.0
+    return STEP * math.sqrt(count / (count - 1) * float(pull @ pull)) / whole
 
 
 def _feedback_lateness(
