@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model error of an input: saturation, servo lag and wrong lag settings, against feedback."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -246,29 +248,60 @@ def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:
 def test_an_earliness_is_refuted_by_blocks_that_would_show_it(
     found: float, sigma: float, kept: bool
 ) -> None:
-    """Of 0.27, in three sigma, they must show less than half."""
+    """Of 0.27 s, in three sigma, they must show less than half."""
     error_model, rows = ModelError(LAYOUT), len(LAYOUT.main) + len(LAYOUT.rolling)
-    error_model._early = np.array([0.0, 0.27, 0.0])
-    none = np.zeros((rows, 1, 2))
+    _make_early(error_model, [0.0, 0.27, 0.0])
+    none, one = np.zeros((rows, 1, 2)), np.ones((rows, 1))
     shown = Losses(
         none - [0.0, found],
         none,
-        np.full((rows, 1), sigma),
+        sigma * one,
+        one,
         none,
         np.zeros(rows),
         np.ones(rows) > 0,
     )
     error_model._follow_earliness(shown)
-    assert error_model._early.tolist() == [0.0, 0.27 * kept, 0.0]
+    only_pitch = error_model.relative_error(np.array([False, True, False]))
+    assert only_pitch[1] == 0.27 * kept
+
+
+def _make_early(
+    error_model: ModelError, early: list[float], sigma: Sequence[float] = (0.05, 0.05, 0.05)
+) -> None:
+    """Set the earliness of the rows, s, of inputs with a rate of 1 rad/s."""
+    error_model._early, error_model._early_sigma = np.array(early), np.array(sigma)
+    error_model._rate = np.ones(3)
 
 
 def test_an_early_yaw_of_a_multirotor_counts_for_itself_alone() -> None:
     """The inertia of the rotors makes it early, not a wrong setting."""
-    early_yaw, early_roll = ModelError(LAYOUT), ModelError(LAYOUT)
-    early_yaw._early, early_roll._early = np.array([0.0, 0.0, 0.5]), np.array([0.5, 0.0, 0.0])
-    np.testing.assert_array_equal(early_yaw.relative_error(KNOWN_ROWS), [0.5, 0.5, 0.5])
-    np.testing.assert_array_equal(early_yaw.relative_error(KNOWN_ROWS, rotors=True), [0, 0, 0.5])
-    np.testing.assert_array_equal(early_roll.relative_error(KNOWN_ROWS, rotors=True), [0.5] * 3)
+    yaw, both = ModelError(LAYOUT), ModelError(LAYOUT)
+    _make_early(yaw, [0.0, 0.0, 0.5])
+    _make_early(both, [0.5, 0.5, 0.0])
+    np.testing.assert_array_equal(yaw.relative_error(KNOWN_ROWS, rotors=True), [0, 0, 0.5])
+    np.testing.assert_allclose(both.relative_error(KNOWN_ROWS, rotors=True), [0.5] * 3)
+
+
+@pytest.mark.parametrize(
+    ("yaw", "yaw_sigma", "shared"),
+    [
+        (0.2, 0.04, True),
+        (0.0, 0.04, False),
+        (-0.2, 0.04, False),
+        (0.0, 0.15, True),  # too uncertain to contradict
+    ],
+)
+def test_an_earliness_counts_for_all_unless_a_row_shows_none(
+    yaw: float, yaw_sigma: float, shared: bool
+) -> None:
+    """A wrong delay or lag makes all inputs early, gusts in the instruments one of them."""
+    error_model = ModelError(LAYOUT)
+    _make_early(error_model, [0.4, 0.2, yaw], [0.04, 0.04, yaw_sigma])
+    found = error_model.relative_error(KNOWN_ROWS)
+    assert found.tolist() == ([0.4] * 3 if shared else [0.4, 0.2, 0.0])
+    without_yaw = error_model.relative_error(np.array([True, True, False]))
+    assert without_yaw.tolist() == [0.4] * 3
 
 
 def test_a_difference_of_a_ten_thousandth_of_the_power_is_found_by_a_third() -> None:

@@ -75,6 +75,7 @@ class Losses(NamedTuple):
     found: FloatArray  # (rows, others, 2) Relative to the effect, rms
     sure: FloatArray  # (rows, others, 2) The same, 0 where not significant
     sigma: FloatArray  # (rows, others) Standard deviation of the lateness
+    rate: FloatArray  # (rows, others) Rms rate of the input relative to its rms, rad/s
     size: FloatArray  # (rows, others, 2) Coefficients, 0 where not significant
     # (rows,) Lateness less the most that feedback may cause, by the solution of smallest sigma
     late: FloatArray
@@ -98,8 +99,11 @@ class ModelError:
         # Largest loss by saturation, lateness or attenuation, relative to the input's effect, rms,
         # at most 1; 0 where not significant
         self.share: FloatArray = np.zeros(len(ROWS))
+        # Earliness of each row, its standard deviation, s, and the input's rate as in `Losses`
         self._early: FloatArray = np.zeros(len(ROWS))
-        # The same by lateness, significant or not, beyond what feedback may cause
+        self._early_sigma: FloatArray = np.full(len(ROWS), np.inf)
+        self._rate: FloatArray = np.zeros(len(ROWS))
+        # The same as `share` by lateness, significant or not, beyond what feedback may cause
         self._late: FloatArray = np.zeros(len(ROWS))
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
@@ -108,14 +112,25 @@ class ModelError:
         """Return the most likely error of each row, (3,): `share`, lateness or earliness.
 
         Lateness counts before it is significant: noise must not hide a servo that is too slow for
-        its commands. Delay and lag are one setting for all inputs, and only an error of it makes a
-        known input early. The earliness of any of the rows `known`, (3,), therefore counts for all.
-        The yaw of a multirotor counts for itself alone: the inertia of the `rotors` turns the
-        vehicle while their speed changes, before their drag does.
+        its commands. Delay and lag are one setting for all inputs, and an error of it makes all of
+        them early. The largest earliness of the rows `known`, (3,), therefore counts for all,
+        unless one of them would show it and shows none: by gusts one alone looks early. The yaw of
+        a multirotor counts for itself alone: the inertia of the `rotors` turns the vehicle while
+        their speed changes, before their drag does.
         """
-        early = np.where(known, self._early, 0.0)
-        shared = early[:_YAW] if rotors else early
-        return np.maximum(np.maximum(self.share, self._late), np.maximum(early, shared.max()))
+        own = np.where(known & self._is_early, self._early, 0.0)
+        told = known & (np.arange(len(ROWS)) != _YAW) if rotors else known
+        shared = np.where(told, own, 0.0).max()
+        limit = SURE * self._early_sigma
+        if (told & (limit < shared) & (self._early < limit)).any():
+            shared = 0.0
+        early = np.maximum(own * self._rate, shared * self._rate.max())
+        return np.maximum(np.maximum(self.share, self._late), np.minimum(early, 1.0))
+
+    @property
+    def _is_early(self) -> BoolArray:
+        """Whether the earliness of each row is significant, (3,)."""
+        return self._early > DOUBTLESS * self._early_sigma
 
     def begin_anew(self, row: int) -> None:
         """Clear the sums of a row; its errors hold until there are enough blocks again."""
@@ -127,6 +142,7 @@ class ModelError:
         """Clear the sums and errors of a row whose derivatives are learned anew."""
         self.begin_anew(row)
         self.share[row] = self._early[row] = self._late[row] = 0.0
+        self._early_sigma[row] = np.inf
 
     def add(
         self,
@@ -203,17 +219,21 @@ class ModelError:
         self._follow_earliness(losses)
 
     def _follow_earliness(self, losses: Losses) -> None:
-        """Take over a significant earliness; keep the last one unless these losses refute it.
+        """Take over the earliness; keep a significant one unless these losses refute it.
 
         They do where they would show it significantly, and are nearer to none. Without that the few
         blocks after the start would clear what all together had shown.
         """
         rows = slice(len(ROWS))
-        found, sigma = -losses.found[rows, 0, 1], losses.sigma[rows, 0]
-        significant = losses.sure[rows, 0, 1] != 0.0
+        rate = losses.rate[rows, 0]
+        found, sigma = -losses.found[rows, 0, 1] / rate, losses.sigma[rows, 0] / rate
         refuted = (self._early > SURE * sigma) & (self._early > 2.0 * found)
-        early = np.where(significant, np.clip(found, 0.0, 1.0), np.where(refuted, 0.0, self._early))
-        self._early = np.where(losses.informative[rows], early, self._early)
+        taken = losses.informative[rows] & (
+            (losses.sure[rows, 0, 1] != 0.0) | refuted | ~self._is_early
+        )
+        self._early = np.where(taken, found, self._early)
+        self._early_sigma = np.where(taken, sigma, self._early_sigma)
+        self._rate = np.where(taken, rate, self._rate)
 
     def _find(
         self,
@@ -242,7 +262,8 @@ class ModelError:
         # Blocks count as the input moved in them (the effective sample size; Kish 1965).
         moved = zz[range(len(zz)), :, self._entries, self._entries]
         shares = moved / np.maximum(moved.sum(axis=1, keepdims=True), POWERLESS)
-        effective = shares.sum(axis=1) / np.maximum(np.square(shares).sum(axis=1), ROUNDING)
+        squared = np.square(shares.sum(axis=1))
+        effective = squared / np.maximum(np.square(shares).sum(axis=1), ROUNDING)
         made = k - own + 1  # Of the input: itself, and the additional ones
         informative = effective > made
         lost = np.maximum(k / (count - k), made / np.where(informative, effective - made, 1.0))
@@ -266,7 +287,8 @@ class ModelError:
         bias, error = (np.sqrt(v[..., 1]) / main_effect for v in (answered, variance))
         better = range(len(zf)), error.argmin(axis=1)
         late = (away[..., 1] - bias)[better]
-        return Losses(away, np.where(sure, away, 0.0), error, size, late, informative)
+        rate = scale[range(len(zf)), :, self._entries] / scale[..., -1]
+        return Losses(away, np.where(sure, away, 0.0), error, rate, size, late, informative)
 
 
 def _solved(
