@@ -29,7 +29,17 @@ from uav_ident_ros.simulation.recording import parameters
 
 AMPLITUDES = {"de": 0.08, "dr": 0.12, "da": 0.06, "dth": 0.2}
 RECORDED = Path(__file__).resolve().parents[3] / "shared" / "bags"
+TICK = 0.05
+"""Time between ticks, s."""
 DOMINANT = ("pdot/p", "qdot/q", "rdot/r", "pdot/da", "qdot/de", "rdot/dr")
+
+
+def by_ticks(measured: Measurements) -> tuple[FloatArray, FloatArray]:
+    """Return the mean rates and specific forces of each tick."""
+    signals = np.hstack([measured.rates, measured.specific_force])
+    samples = round(TICK * measured.sensors.rate)
+    means = signals[:-1].reshape(-1, samples, 6).mean(axis=1)
+    return means[:, :3], means[:, 3:]
 
 
 _FLOWN: dict[str, Flight] = {}

@@ -17,7 +17,7 @@ from verdict_flights import MISTAKES
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.frames import rotation
-from uav_ident_ros.identification.gyro import HYPOTHESES, GyroFilters, Hypothesis
+from uav_ident_ros.identification.gyro import HYPOTHESES, GyroFilters, WrongAxes
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.plausibility import (
     Plausibility,
@@ -397,8 +397,8 @@ class Evidence:
 
     sigma: float
 
-    def wrong_axes(self, sure: float) -> tuple[Hypothesis, float] | None:
-        return (HYPOTHESES[1], self.sigma) if self.sigma > sure else None
+    def wrong_axes(self, sure: float) -> WrongAxes | None:
+        return WrongAxes(HYPOTHESES[1], self.sigma, "lift") if self.sigma > sure else None
 
 
 def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> None:

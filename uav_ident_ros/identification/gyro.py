@@ -13,13 +13,15 @@ Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, se
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from uav_ident_ros.identification.frames import attitudes, cross_matrices
+from uav_ident_ros.identification.lift import LiftSigns
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.scales import DOUBTLESS, GRAVITY_BAND, LONG_MEMORY, TINY
+from uav_ident_ros.identification.scales import DOUBTLESS, GRAVITY_BAND, LONG_MEMORY, SURE, TINY
 from uav_ident_ros.identification.structure import FloatArray
 
 FORCE_SIGMA = GRAVITY_BAND * GRAVITY
@@ -51,11 +53,26 @@ HYPOTHESES = (
 yaw rate are reversed, fits as well as each of them: so all wrong signs are covered but these two
 together."""
 
+_BACKWARDS = HYPOTHESES[1]
+_LEVEL = (
+    Hypothesis((1, 1, -1), 1, "axis z of the gyro has the wrong sign, by itself or with axis x"),
+    Hypothesis((1, -1, 1), 1, "axis y of the gyro has the wrong sign, by itself or with axis x"),
+)
+"""Axes of which the signs are wrong if the side force, or the lift, alone supports the flow."""
+
 _SIGNS = np.array([hypothesis.gyro for hypothesis in HYPOTHESES], dtype=float)[:, None]
 _AHEAD = np.array([hypothesis.ahead for hypothesis in HYPOTHESES], dtype=float)[:, None]
 _PRIOR = np.eye(6) / GRAVITY_BAND**2
 """Information on attitude, rad^-2, and gyro bias, (rad/s)^-2, from the first sample alone. The
 attitude is as sure as its gravity; a bias as large is found in seconds."""
+
+
+class WrongAxes(NamedTuple):
+    """Axes that fit better than the configured ones."""
+
+    axes: Hypothesis
+    sigma: float  # By how many standard deviations
+    evidence: str  # What fits better, for a message
 
 
 class GyroFilters:
@@ -72,6 +89,7 @@ class GyroFilters:
         # and the unit vector that points down at the end of the last block, with this bias
         self.bias: FloatArray = np.zeros(3)
         self.down: FloatArray = np.eye(3)[2]
+        self._lift = LiftSigns()
         self.found = False  # Whether the bias has been significant; it then stays in use
 
     def restart(self) -> None:
@@ -103,6 +121,8 @@ class GyroFilters:
         weight = float(weights.sum())
         shares = np.stack([steps / time, weights / (weight + TINY)])
         innovation = np.einsum("sk,hki->shi", shares, upwards) + GRAVITY * self._down
+        gravity = GRAVITY * (self._down[0] @ turns[0])
+        self._lift.add(steps, omega[0], force, gravity, airspeed)
         # The rotation vector, initial axes, per bias, s
         lever = np.cumsum(turns * steps[:, None, None], axis=1)
         by_bias = speed[..., None] * (turns @ along) - cross_matrices(upwards) @ lever
@@ -163,16 +183,32 @@ class GyroFilters:
         self._information = (1.0 - fade) * (back.swapaxes(1, 2) @ information @ back)
         self._information += fade * _PRIOR
 
-    def wrong_axes(self, sure: float) -> tuple[Hypothesis, float] | None:
-        """Return the axes that fit better, and by how many sigma, if by more than `sure`."""
+    def wrong_axes(self, sure: float) -> WrongAxes | None:
+        """Return the axes that fit better by more than `sure` standard deviations."""
+        return self._by_gravity(sure) or self._by_lift(sure)
+
+    def _by_gravity(self, sure: float) -> WrongAxes | None:
+        """Return the axes with which the specific force fits straight flight better."""
         best = int(np.argmin(self._squares))
         fits = self._squares[best] < self._count  # Else the filters have lost the attitude
-        if best == 0 or not fits:
+        axes, (_, lift) = HYPOTHESES[best], self._lift.sigmas
+        contradicted = axes.gyro[1] * axes.ahead < 0 and lift < -SURE
+        if best == 0 or not fits or contradicted:
             return None
         # Likelihood ratio; innovations larger than assumed count by their ratio
         configured, other = self._count + self._squares[[0, best]]
         sigma = float(np.sqrt(self._count * np.log(configured / other)))
-        return (HYPOTHESES[best], sigma) if sigma > sure else None
+        evidence = "rotated by the gyro, the specific force fits straight flight better so"
+        return WrongAxes(axes, sigma, evidence) if sigma > sure else None
+
+    def _by_lift(self, sure: float) -> WrongAxes | None:
+        """Return the axes with which lift and side force oppose the flow."""
+        side, lift = self._lift.sigmas.tolist()
+        axes, sigma = _LEVEL[int(lift > side)], max(side, lift)
+        if side > 0.0 and lift > 0.0:  # Independent, and both wrong
+            axes, sigma = _BACKWARDS, (side + lift) / math.sqrt(2.0)
+        evidence = "turned by the gyro, the aircraft flies against its lift or side force otherwise"
+        return WrongAxes(axes, sigma, evidence) if sigma > sure else None
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -497,11 +497,10 @@ def axes_finding(gyro: GyroFilters, sure: float) -> Finding | None:
     """Return a finding if turns fit the specific force with other axes of the Imu."""
     if not (found := gyro.wrong_axes(sure)):
         return None
-    axes, sigma = found
+    axes, sigma, evidence = found
     return Finding(
         "axes",
-        f"{axes.problem}: rotated by the gyro, the specific force fits straight flight better so, "
-        f"by {sigma:.1f} standard deviations. {axes.cure}",
+        f"{axes.problem}: {evidence}, by {sigma:.1f} standard deviations. {axes.cure}",
         fault=sigma > DOUBTLESS,
     )
 
