@@ -598,6 +598,21 @@ def _mistakes(series: Series) -> Iterator[Trial]:
             )  # fmt: skip
 
 
+def _reversed(series: Series) -> Iterator[Trial]:
+    """Excitation in level flight, with an Imu turned round or one axis of its gyro reversed."""
+    backwards, pitch = np.diag([-1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
+    for aircraft, wind in (
+        ("light_aircraft", 0.0), ("light_aircraft", 0.5), ("c172p", 3), ("T37", 0), ("OV10", 0),
+        ("ultra_stick_25e", 2),
+    ):  # fmt: skip
+        for mistake, spoil, named in (
+            ("the Imu points backwards", _mounted(backwards), "points backwards"),
+            ("axis y of the gyro reversed", partial(_imu, pitch, np.eye(3)), "axis y of the gyro"),
+        ):
+            label = f"wind {wind:g}, {mistake}"
+            yield series.trial(aircraft, label, wind=wind, spoil=spoil, names=named)
+
+
 def _recorded(series: Series) -> Iterator[Trial]:
     """Real flights, each once, if available."""
     for name in filter(cases.is_recorded, cases.RECORDED_DELAY if series.seed == 1 else ()):
@@ -610,7 +625,7 @@ CLASSES = {
     for make in (
         _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _weak, _glitch, _clean,
         _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _launched, _blocked,
-        _noisy_airspeed, _loaded, _retrimmed, _mistakes, _recorded,
+        _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""

@@ -6,8 +6,9 @@ The specific forces fy, fz and the turns of the gyro change the velocity across 
     vdot = fy + g_y - r V + ...,   wdot = fz + g_z + q V + ...
 
 The air slows it: fy falls with v, and fz with w. A pitch or yaw rate with the wrong sign turns that
-round, in level flight as well, and in gusts alone. Both are integrated over a second; means and
-slopes are left out, since attitude and gyro bias cause them.
+round, in level flight as well. In gusts alone v and w show little where the aircraft drifts with
+the air, and the turn of the nose alone misleads if the aircraft is unstable: their sum is taken,
+over a second, without mean and slope, which an error of attitude or a gyro bias causes.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class LiftSigns:
         """Add samples that follow each other, in blocks of about `INDEPENDENT_TIME`."""
         across = force[:, 1:]
         turning = airspeed * rates[:, :0:-1] * (-1.0, 1.0)
-        change = (across + gravity[:, 1:] + turning) * steps[:, None]
+        velocity_rate = across + gravity[:, 1:] + turning
+        change = (velocity_rate + turning) * steps[:, None]
         velocity = np.cumsum(change, axis=0) - 0.5 * change
         parts = max(1, round(float(steps.sum()) / INDEPENDENT_TIME))
         for block in np.array_split(np.arange(len(steps)), parts):
