@@ -184,7 +184,7 @@ def judged(trial: Trial) -> Result:
     bank, observer = DelayBank(0.3), FlowObserver(structure, 15.0, speed)
     worst = 0.0
     for block in case.blocks(settings, given):
-        block = observer.follow(block, first_values(structure), None)
+        observer.follow(block, first_values(structure), None)
         for k in range(0, len(block.u), PIECE):
             if bank.add(cut(block, k, trial.name), 0.0) and bank.estimate.total_sure:
                 off = abs(bank.estimate.total - true) / bank.estimate.total_sigma
@@ -195,11 +195,11 @@ def judged(trial: Trial) -> Result:
 def cut(block: Block, k: int, name: str) -> Block:
     """Return the k-th piece of `PIECE` cells; only aircraft have flow angles."""
     cells, edges = slice(k, k + PIECE), slice(k, k + PIECE + 1)
-    flow = block.flow
-    if flow is not None:
-        flow = None if name.startswith(("plant", "quadrotor")) else flow[edges]
+    flies = not name.startswith(("plant", "quadrotor"))
     return replace(
-        block, t_ns=block.t_ns[edges], x=block.x[edges], u=block.u[cells], flow=flow,
+        block, t_ns=block.t_ns[edges], u=block.u[cells],
+        state=(block.state if flies else block.x)[edges],
+        airspeed=block.airspeed if flies else None,
         excitation=None if block.excitation is None else block.excitation[cells],
         specific_force=block.specific_force[edges], restarted=block.restarted and k == 0,
     )  # fmt: skip

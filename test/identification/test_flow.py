@@ -51,7 +51,8 @@ def observed(
     angles, attitude = [], []
     values = first_values(FLIGHT) if values is None else values
     for block in blocks(x, u, h, force, cells=10):
-        state = observer.follow(block, values, airspeed).state[1:]
+        observer.follow(block, values, airspeed)
+        state = block.state[1:]
         angles.append(state[:, 3:5])
         down = state[:, 5:]
         np.testing.assert_allclose(np.linalg.norm(down, axis=1), 1.0, atol=1e-4)
@@ -103,8 +104,8 @@ def test_a_bias_found_realigns_the_attitude_and_begins_a_new_stretch() -> None:
     own, errors, begun = observer(), [], []
     inputs, biased = np.zeros((len(x) - 1, 4)), x + np.array([0.1, -0.1, 0.0])
     for block in blocks(biased, inputs, 0.04, force, cells=10):
-        done = own.follow(block, first_values(FLIGHT), None)
-        begun.append(done.restarted)
+        own.follow(block, first_values(FLIGHT), None)
+        begun.append(block.restarted)
         errors.append(abs(own.attitude[0] - 0.3))
     found = begun.index(True, 1)
     assert sum(begun) == 2  # the flight's and the one then
@@ -213,7 +214,7 @@ def test_a_roll_in_a_sideslip_changes_alpha_as_the_kinematics_row_predicts() -> 
                      np.cos(states[:, 5]) * level], axis=1)  # fmt: skip
     whole = np.concatenate((states[:, :5], down), axis=1)
     (block,) = blocks(states[:, :3], u, h, force)
-    block = replace(block, flow=whole, airspeed=SPEED)
+    block = replace(block, state=whole, airspeed=SPEED)
     found = StateVariableFilter(FLIGHT, CUTOFF, h, np.zeros(3)).apply(block, whole, None, a)
     columns = [FLIGHT.size + 1, -2, FLIGHT.column("1")]  # kinematics, de's slope, bias
     slopes, *_ = np.linalg.lstsq(found.f[:, columns], found.y[:, 4], rcond=None)

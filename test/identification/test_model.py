@@ -39,7 +39,7 @@ def with_down(state: FloatArray) -> FloatArray:
 def block_of(u: FloatArray, h: float) -> Block:
     whole = np.tile(with_down(START), (len(u) + 1, 1))
     (block,) = blocks(whole[:, :3], u, h)
-    return replace(block, flow=whole, airspeed=SPEED)
+    return replace(block, state=whole, airspeed=SPEED)
 
 
 @pytest.mark.parametrize("h", [0.001, 0.005, 0.0125, 0.025])

@@ -306,12 +306,12 @@ class DelayBank:
     def _signals(self, first: int) -> _Signals:
         """Resample the collected blocks from `first`, ns, on."""
         block = join([block for block, _ in self._parts])
-        self._has_flow, airspeed = block.flow is not None, 1.0
+        self._has_flow, airspeed = block.airspeed is not None, 1.0
         values = np.zeros((len(block.x), 7))
         values[:, :3] = block.x
-        if block.flow is not None:
+        if block.airspeed is not None:
             airspeed = block.airspeed
-            values[:, 3:5], values[:, 5:] = block.force, block.flow[:, 6:]
+            values[:, 3:5], values[:, 5:] = block.force, block.state[:, 6:]
         t, u = (block.t_ns - first) * NS, block.u
         if block.excitation is not None:
             u = np.concatenate((u, block.excitation), axis=1)

@@ -11,7 +11,6 @@ force.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import asin, atan2, cos, exp, inf, sin
 from typing import NamedTuple
 
@@ -129,8 +128,8 @@ class FlowObserver:
         block: Block,  # Measured signals over m cells
         coefficients: FloatArray,  # (7, n) A_m; its force rows convert forces to angles
         airspeed: float | None,  # True, m/s; None if none is measured
-    ) -> Block:
-        """Return a block with the attitude and flow angles observed over it."""
+    ) -> None:
+        """Observe the attitude and flow angles over a block, and add them to it."""
         v = self._reference
         if airspeed is not None and airspeed > v / LARGEST_RATIO:
             v = airspeed
@@ -178,10 +177,10 @@ class FlowObserver:
                 aim = measured[k] + (rate + by_p * p + bias) / self._rate
                 self.angles[k] = aim + keep * (self.angles[k] - aim)
             edges.append((*self.angles, *self.down))
-        states = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
-        restarted = block.restarted or self.realigned
+        block.state = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
+        block.airspeed = v
+        block.restarted = block.restarted or self.realigned
         self._find_bias(np.array(plan.times), rates, force, v)
-        return replace(block, flow=states, airspeed=v, restarted=restarted)
 
     def _find_bias(
         self, times: FloatArray, rates: FloatArray, force: FloatArray, airspeed: float

@@ -467,12 +467,9 @@ class ExcitationGate:
         self._window: deque[FloatArray] = deque()
         self._window_time = 0.0
         self._since_look = 0.0
+        # Baseline: the mean variance of each input while learning, and the time of this
         self._usual: FloatArray = np.zeros(4)
         self._usual_time: FloatArray = np.zeros(4)
-        # Variance of each input over the window, relative to its baseline variance while learning.
-        # Relative to the largest one, one wild manoeuvre would close the gate for an ordinary
-        # flight.
-        self.share: FloatArray = np.zeros(4)
         # Variance that the inputs explain in each row, relative to that of the residual
         self.signal: FloatArray = np.zeros(3)
         self.weight: FloatArray = np.ones(3)  # Weight of each row, 0 ... 1
@@ -507,11 +504,13 @@ class ExcitationGate:
         # The residuals of the newest part only: a gust front then shows at once.
         newest = sums[sums[:-1, 0].searchsorted(INDEPENDENT_TIME)]
         variance = np.maximum(means[5:9] - means[1:5] ** 2, 0.0)
-        self.share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
+        # Relative to the largest variance, one wild manoeuvre would close the gate for an ordinary
+        # flight.
+        share = np.divide(variance, self._usual, out=np.ones(4), where=self._usual > 0.0)
         residual = np.maximum(newest[9:] / newest[0], TINY)
         self.signal = (self._watched * effect**2) @ variance / residual
         enough = max(self.settings.min_excitation, TINY)
-        liveliest = np.maximum.reduce(self._watched * self.share, axis=1) / enough
+        liveliest = np.maximum.reduce(self._watched * share, axis=1) / enough
         liveliest[self._blind] = 1.0
         # The square: the samples' information falls as the inputs' variance, feedback's bias does
         # not.

@@ -272,15 +272,13 @@ class OnlineIdentifier:
         self._saved = None
         self.supervisor.reset()
         self.plausibility = Plausibility(self.settings)
-        self.intake.fill(
-            {
-                RATES: self.sampler.rates,
-                ACTUATORS: self.sampler.raw_inputs,
-                AIRSPEED: self._speed.samples,
-                ARMED: self._armed,
-                EXCITATION: self.sampler.injected,
-            }
-        )
+        self.intake.buffers = {
+            RATES: self.sampler.rates,
+            ACTUATORS: self.sampler.raw_inputs,
+            AIRSPEED: self._speed.samples,
+            ARMED: self._armed,
+            EXCITATION: self.sampler.injected,
+        }
         self.intake.fault = ""
         self._setup_errors = SetupErrors(self.structure, self.settings.airspeed.reference)
         self._learned_time = self.idle = 0.0
@@ -300,14 +298,12 @@ class OnlineIdentifier:
         self.plausibility.restart()
         self._outliers = Outliers()
         self.intake.restart()
-        self._noted_steps = 0
         self._filter: StateVariableFilter | None = None
         self._parts: list[Stretch] = []  # Of the next stretch
         self._news = True
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
         self._looked_ns = self._fed_ns = NO_TICK
-        self._newest_rates: FloatArray | None = None  # Imu axes
 
     # -- the delay of the inputs -----------------------------------------------------------
 
@@ -355,9 +351,9 @@ class OnlineIdentifier:
     def flying(self) -> Flying:
         """Return the flight state at the last tick."""
         roll, pitch = (None, None) if self._flow is None else self._flow.attitude
-        newest, speed = self._newest_rates, self._speed
+        rates, speed = self.sampler.rates.v[-1:, :3], self._speed
         return Flying(
-            None if newest is None else self._frame.to_body(newest),
+            self._frame.to_body(rates[0]) if len(rates) else None,
             roll,
             pitch,
             airspeed=speed.newest,
@@ -448,7 +444,8 @@ class OnlineIdentifier:
     def _tick(self, t_ns: int) -> Estimate:
         """Run one tick: check the signals, segment, score, regress, estimate, judge, publish."""
         self.idle += 1.0 / self.settings.update_rate
-        self.intake.merge(t_ns)
+        for buffer in self.intake.buffers.values():
+            buffer.merge(t_ns)
         self._speed.update(t_ns)
         self._check_signals(t_ns)
         if self._as_paper:
@@ -479,12 +476,8 @@ class OnlineIdentifier:
                     rates.leave_out(which)
                     self.intake.drops[RATES][drop] += int(which.sum())
             samples, channels = rates.v[new:], inputs.v
-        if len(rates.t):
-            self._newest_rates = rates.v[-1, :3]
-        steps = self.intake.clock_steps.steps
-        for size_ns in steps[self._noted_steps :]:
-            self.plausibility.note(t_ns * NS, clock_step(size_ns * NS))
-        self._noted_steps = len(steps)
+        while steps := self.intake.clock_steps.steps:
+            self.plausibility.note(t_ns * NS, clock_step(steps.pop(0) * NS))
         if settings.supervision.plausibility:
             fresh = channels[inputs.after(self._looked_ns) :]
             self.plausibility.look(t_ns * NS, samples, fresh)
@@ -508,7 +501,7 @@ class OnlineIdentifier:
                 length, leak = 0.0, min(leak, START_LEAK_TIME)
             now = self._flown
             if self._flow is not None:
-                block = self._flow.follow(block, now, speed.airspeed)
+                self._flow.follow(block, now, speed.airspeed)
                 if self._flow.realigned:
                     self._drifted, self._fresh = True, None
                     longest = self.settings.actuators.longest_delay
@@ -740,7 +733,8 @@ class OnlineIdentifier:
         sound = state is not State.FAULT and self._speed.believed and doubt is None
         p, q, r = (sound and not reason for reason in supervisor.verdict)
         predicted = self._frame.to_imu(self._parallel.model.state[:3])
-        newest = np.zeros(3) if self._newest_rates is None else self._newest_rates
+        rates = self.sampler.rates.v
+        newest = rates[-1, :3] if len(rates) else np.zeros(3)
         return Estimate(
             t_ns=t_ns,
             coefficients=coefficients,

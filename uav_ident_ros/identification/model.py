@@ -301,13 +301,11 @@ class IdentifiedModel:
         assert block.excitation is not None
         coefficients = coefficients.copy()
         coefficients[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1] = 0.0
-        still = np.zeros_like
         alone = replace(
             block,
-            x=still(block.x),
+            state=np.zeros_like(block.state),
             u=block.excitation,
-            specific_force=still(block.specific_force),
-            flow=None if block.flow is None else still(block.flow),
+            specific_force=np.zeros_like(block.specific_force),
         )
         return self.run(coefficients, alone, leak_time)
 
@@ -320,7 +318,7 @@ class IdentifiedModel:
         plan = plan_steps(len(block.u), block.h)
         # The part that does not depend on the state, a row for each step
         u = plan.cell_means @ block.u
-        if block.flow is not None:
+        if block.airspeed is not None:
             drive = np.zeros((len(u), 11))
             drive[:, :7] = u @ a[:, INPUT_COLUMNS].T + a[:, CONSTANT_COLUMN]
             drive[:, 7] = 1.0 / block.airspeed
@@ -416,7 +414,7 @@ class ParallelModel:
 
     def follow(
         self,
-        block: Block,  # Measured signals over m cells; its flow is set
+        block: Block,  # Measured signals over m cells; its flow angles are known
         coefficients: FloatArray,  # (R, n) A_m at the airspeed flown
         leak_time: float,  # Of the leak towards the measured state, s; 0 for none
     ) -> tuple[FloatArray, bool]:

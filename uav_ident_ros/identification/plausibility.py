@@ -136,13 +136,9 @@ class Plausibility:
     """Checks of the signals for wrong units, axes, trim and channels."""
 
     def __init__(self, settings: Settings) -> None:
-        self._imu = settings.imu
+        self._settings = settings
         self._frame = BodyFrame(settings.imu)
         self._map = InputMap(settings.actuators)
-        self._learns_trim = settings.actuators.learn_trim_time > 0.0
-        self._structure = STRUCTURES[settings.structure]
-        self._expected = settings.supervision.expected_signs
-        self._multirotor = settings.actuators.multirotor
         self.exchanged = ExchangedInputs()  # From the samples that are learned from
         # Integrals over time of direction (3), vector (3) and magnitude (1) of the specific force
         self._sums: FloatArray = np.zeros(7)
@@ -191,7 +187,9 @@ class Plausibility:
         gyro: GyroFilters | None = None,  # None without flow angles: rotors fly backwards as well
     ) -> None:
         """Check for reversed inputs, by the coefficients, swapped ones, and wrong axes."""
-        known, motors = (self._structure, coefficients, sigma, self._expected), self._multirotor
+        settings, motors = self._settings, self._settings.actuators.multirotor
+        expected = settings.supervision.expected_signs
+        known = STRUCTURES[settings.structure], coefficients, sigma, expected
 
         def find(share: float = 1.0) -> Finding | None:  # Of the significance that is needed
             return (
@@ -200,7 +198,7 @@ class Plausibility:
                 or (axes_finding(gyro, share * SURE) if gyro else None)
             )
 
-        if turned := turn_finding(self.exchanged, self._imu):
+        if turned := turn_finding(self.exchanged, settings.imu):
             self.note(self._now, turned)
         found, before = find(), self.doubt
         if found is None:
@@ -293,7 +291,7 @@ class Plausibility:
 
     def _better_mounting(self, direction: FloatArray) -> str:
         """Return the convention or mounting that makes the mean specific force point upwards."""
-        own, imu, quarter = self._frame.to_imu(direction), self._imu, 0.5 * math.pi
+        own, imu, quarter = self._frame.to_imu(direction), self._settings.imu, 0.5 * math.pi
 
         def up(**other: Any) -> float:
             return -float(BodyFrame(replace(imu, **other)).to_body(own)[2])
@@ -336,8 +334,8 @@ class Plausibility:
         raw = np.concatenate([values for _, values in self._inputs])
         # Slower samples may show the oscillation of an attitude loop, near 5 Hz on a quadrotor.
         quick = len(raw) * SAMPLE_TIME >= self._inputs[-1][0] - self._inputs[0][0]
-        u = self._map.apply(raw)
-        without_trim = raw @ self._map.matrix.T
+        u, without_trim = self._map.apply(raw), raw @ self._map.matrix.T
+        learns_trim = self._settings.actuators.learn_trim_time > 0.0
         found: list[Finding] = []
         used = (u != u[0]).any(axis=0)  # constant inputs are not in use, or not armed yet
         for i in np.flatnonzero(used).tolist():
@@ -345,7 +343,7 @@ class Plausibility:
             if quick and (publishers := _interleaved(name, own)) is not None:
                 found.append(publishers)
             if name != "dth":  # throttles come in all units, motor speeds among them
-                found += _off_range(name, own, without_trim[:, i], self._learns_trim)
+                found += _off_range(name, own, without_trim[:, i], learns_trim)
         return found
 
 

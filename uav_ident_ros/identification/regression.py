@@ -378,7 +378,7 @@ class StateVariableFilter:
         if n > CONSTANT_COLUMN:
             f[:, LAST_COLUMNS] = block.force
         z[:, STATE_COLUMNS] = both[points:, STATE_COLUMNS]
-        if block.flow is not None:
+        if block.airspeed is not None:
             assert coefficients is not None
             made, v = coefficients[3:5], block.airspeed
             force = np.concatenate((block.force, model_states[:, :5] @ made.take(_FLOW_STATE, 1).T))
@@ -428,7 +428,7 @@ class StateVariableFilter:
         """Move the forces from the accelerometer to the centre of gravity."""
         offset = y[:, :3] @ self._lever.T
         f[:, LAST_COLUMNS] -= offset
-        if block.flow is not None:
+        if block.airspeed is not None:
             n = self._structure.size
             f[:, n : n + 2] -= offset / block.airspeed
             # Second derivative of the filtered rates, by the filter's own equation

@@ -189,16 +189,12 @@ class ClockSteps:
     """
 
     def __init__(self) -> None:
-        self.steps: list[int] = []  # Size of each so far, ns
+        self.steps: list[int] = []  # Size of each, ns, until it is taken from here to be named
+        self.correction_ns = 0  # Sum of all so far, which is subtracted from the stamps, ns
         # Of the last samples: stamps, and their offsets from the newest stamp of the rates, ns
         self._stamps: deque[int] = deque(maxlen=USUAL)
         self._offsets: deque[int] = deque(maxlen=USUAL)
         self._after: list[tuple[int, int]] = []  # stamps and offsets since a possible step
-
-    @property
-    def correction_ns(self) -> int:
-        """Sum of the steps so far, which is subtracted from the stamps, ns."""
-        return sum(self.steps)
 
     def corrected(self, t_ns: int, newest_ns: int | None) -> int:
         """Return the stamp of a sample without the clock's steps, ns.
@@ -247,6 +243,7 @@ class ClockSteps:
         size = size if abs(size) > STEP_NS else 0
         if size:
             self.steps.append(size)
+            self.correction_ns += size
         self._count([(t - size, offset - size) for t, offset in self._after])
         return size
 
@@ -282,15 +279,11 @@ class Intake:
         self._jump_ns = round(settings.time_jump * SECOND_NS)
         self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
         self._lookback_ns += 2 * self._jump_ns
-        self._buffers: Mapping[str, SampleBuffer] = {}
+        self.buffers: Mapping[str, SampleBuffer] = {}  # Those that receive the samples, by stream
         # For each stream the number of dropped samples by reason
         self.drops: dict[str, Counter[Drop]] = {name: Counter() for name in (RATES, *self._streams)}
         self.fault = ""  # Problem of the clocks, evidence and cure; empty if none
         self.restart()
-
-    def fill(self, buffers: Mapping[str, SampleBuffer]) -> None:
-        """Set the buffers that receive the samples, by stream."""
-        self._buffers = buffers
 
     def restart(self) -> None:
         """Begin a new time base: discard waiting samples and ticks."""
@@ -331,7 +324,7 @@ class Intake:
         self._outlying.clear()
         if t_ns <= self.last_tick_ns:
             return Drop.LATE
-        if not self._buffers[RATES].append(t_ns, (*pqr, *force)):
+        if not self.buffers[RATES].append(t_ns, (*pqr, *force)):
             return Drop.DUPLICATE
         if self.last_tick_ns == NO_TICK:
             # The first samples may arrive in any order.
@@ -381,7 +374,7 @@ class Intake:
             return None
         if name == ACTUATORS:
             t_ns = self.clock_steps.corrected(t_ns, self.newest_ns)
-        stream, buffer = self._streams[name], self._buffers[name]
+        stream, buffer = self._streams[name], self.buffers[name]
         problem = sample_problem(t_ns, (values, stream.width, stream.largest))
         if problem is None:
             far = self.newest_ns is not None and abs(t_ns - self.newest_ns) > self._jump_ns
@@ -418,11 +411,6 @@ class Intake:
                 )
 
     # -- ticks -----------------------------------------------------------------------------
-
-    def merge(self, t_ns: int) -> None:
-        """Bring the samples of all streams stamped at or before `t_ns` into use."""
-        for buffer in self._buffers.values():
-            buffer.merge(t_ns)
 
     @property
     def due(self) -> int | None:

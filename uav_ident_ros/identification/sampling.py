@@ -7,7 +7,6 @@ linearly. The inputs are delayed, lagged and averaged over the cells.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
@@ -141,7 +140,10 @@ class Block:
 
     t_ns: TimeArray  # (m + 1,) Edges of the cells, ns
     h: float  # Cell width, s
-    x: FloatArray  # (m + 1, 3) Rates p, q, r at the edges, rad/s
+    # (m + 1, 3) Measured state of the model at the edges: p, q, r, rad/s. Once the flow angles are
+    # observed, (m + 1, 8), with sideslip and angle of attack, rad, and the unit vector that points
+    # down
+    state: FloatArray
     u: FloatArray  # (m, 4) Means of de, dr, da, dth over the cells, delayed and lagged
     # (m + 1, 3) Specific forces ax, ay, az at the edges, m/s^2; ay, az less their centripetal part
     specific_force: FloatArray
@@ -151,15 +153,11 @@ class Block:
     # (m, 4) Means of lines through the inputs at the edges, less `u`: such a line begins a jump a
     # cell sooner. None for inputs that do not jump
     early: FloatArray | None = None
-    # (m + 1, 8) With flow angles, once they are observed: the measured state at the edges, p, q, r,
-    # rad/s, sideslip and angle of attack, rad, and the unit vector that points down
-    flow: FloatArray | None = None
-    airspeed: float = math.nan  # True, m/s, with flow angles
+    airspeed: float | None = None  # True, m/s; None until the flow angles are observed
 
     def __post_init__(self) -> None:
+        self.x = self.state[:, :3]  # (m + 1, 3) Rates p, q, r at the edges, rad/s
         self.force = self.specific_force[:, 1:]  # (m + 1, 2) ay, az at the edges, m/s^2
-        # Measured state of the model at the edges, (m + 1, 3), or (m + 1, 8) with flow
-        self.state = self.x if self.flow is None else self.flow
         self.time = self.h * len(self.u)  # Length of the block, s
 
 
@@ -175,17 +173,16 @@ def join(blocks: Sequence[Block]) -> Block:
         both = zip(parts, blocks, strict=True)
         return np.concatenate([np.zeros_like(b.u) if v is None else v for v, b in both])
 
-    first, state = blocks[0], edge_values([block.state for block in blocks])
+    first = blocks[0]
     return Block(
         edge_values([block.t_ns for block in blocks]),
         first.h,
-        state[:, :3],
+        edge_values([block.state for block in blocks]),
         np.concatenate([block.u for block in blocks]),
         edge_values([block.specific_force for block in blocks]),
         first.restarted,
         of_cells([block.excitation for block in blocks]),
         of_cells([block.early for block in blocks]),
-        None if first.flow is None else state,
         first.airspeed,
     )
 
