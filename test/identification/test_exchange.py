@@ -105,24 +105,24 @@ def turned(roll: float, yaw: float, effects: FloatArray = EFFECT, **given: Any) 
 
 @pytest.mark.parametrize(("roll", "yaw"), [(5.0, 0.0), (0.0, -5.0), (-8.0, 6.0)])
 def test_a_turn_of_the_imu_is_found_from_effects_on_other_axes(roll: float, yaw: float) -> None:
-    found = turned(roll, yaw).turned(SURE)
+    found = turned(roll, yaw).turned()
     assert found is not None
     assert np.degrees(found) == pytest.approx([-roll, -yaw], abs=1.0)
 
 
 def test_straight_imus_are_not_turned() -> None:
-    assert [turned(0.0, 0.0, seed=seed).turned(SURE) for seed in range(20)] == [None] * 20
-    assert ExchangedInputs().turned(0.0) is None
+    assert [turned(0.0, 0.0, seed=seed).turned() for seed in range(20)] == [None] * 20
+    assert ExchangedInputs().turned() is None
 
 
 def test_a_turn_takes_a_while_to_be_found() -> None:
     """The scatter of a few seconds is not known."""
-    assert turned(8.0, 0.0, seconds=5.0).turned(SURE) is None
+    assert turned(8.0, 0.0, seconds=5.0).turned() is None
 
 
 @pytest.mark.parametrize("still", [(1, 2), (0, 1, 2, 3)])
 def test_a_turn_needs_inputs_that_move(still: tuple[int, ...]) -> None:
-    assert turned(0.0, 0.0, still=still).turned(SURE) is None
+    assert turned(0.0, 0.0, still=still).turned() is None
 
 
 @pytest.mark.parametrize("place", [(1, 2), (1, 1), (2, 0)])
@@ -130,7 +130,7 @@ def test_an_aircraft_that_is_not_symmetric_is_not_turned(place: tuple[int, int])
     """Ailerons or rudder that pitch it, or an elevator that yaws it, alone."""
     effects = EFFECT.copy()
     effects[place] = 6.0
-    assert turned(0.0, 0.0, effects).turned(SURE) is None
+    assert turned(0.0, 0.0, effects).turned() is None
 
 
 def test_the_mounting_that_would_fit_is_named() -> None:

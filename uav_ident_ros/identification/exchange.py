@@ -20,6 +20,7 @@ from uav_ident_ros.identification.scales import (
     OUTLYING,
     ROUNDING,
     START_TIME,
+    SURE,
     TINY,
 )
 from uav_ident_ros.identification.structure import (
@@ -88,7 +89,7 @@ class ExchangedInputs:
                 return [(names[acts[i]], names[i]) for i in exchanged.tolist()]
         return []
 
-    def turned(self, sure: float) -> FloatArray | None:
+    def turned(self) -> FloatArray | None:
         """Return the angles about the roll and yaw axes that turn the Imu into place, rad, (2,).
 
         An angle that is not significant is 0. None if neither is, or before `START_TIME`.
@@ -105,14 +106,14 @@ class ExchangedInputs:
         by_turn = np.array([[0.0, m_e], [-m_e, 0.0], [n_a, -l_a], [n_r, -l_r]])
         weights = least / sigma
         slope, shown = weights[:, None] * by_turn, weights * [l_e, n_e, m_a, m_r]
-        if np.square(shown).sum() <= (sure * least) ** 2:  # Nearly always: no angle is significant
+        if np.square(shown).sum() <= (SURE * least) ** 2:  # Nearly always: no angle is significant
             return None
         information = slope.T @ slope
         if np.linalg.cond(information) > 1.0 / ROUNDING:  # Too few inputs have moved
             return None
         turn = np.linalg.solve(information, slope.T @ shown)
         spread = least * np.sqrt(diagonal(np.linalg.inv(information)))
-        significant = np.abs(turn) > sure * spread
+        significant = np.abs(turn) > SURE * spread
         agree = np.square(shown - slope @ turn).sum() < OUTLYING * least**2
         return np.where(significant, turn, 0.0) if significant.any() and agree else None
 

@@ -7,8 +7,6 @@ A block of m cells of width h takes one matrix product instead of m recursions: 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
@@ -34,55 +32,55 @@ def expm(matrix: FloatArray) -> FloatArray:
     return result
 
 
-@dataclass(frozen=True)
-class DiscreteSystem:
-    """``s+ = A s + B0 left + B1 right`` over a cell with an input linear in time.
+def discretised(
+    a: FloatArray, b: FloatArray, h: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return A, B0 and B1 of ``s+ = A s + B0 left + B1 right`` for ``s_dot = a s + b v``.
 
-    An input that is held over the cell has the same value at both ends.
+    The input v is linear in time over a cell of `h` s, with the values left and right at its ends;
+    if it is held, they are the same. The exponential of the augmented matrix gives the exact
+    solution (Van Loan 1978). The shapes are those of a (d, d) and b (d,).
     """
-
-    a: FloatArray  # (d, d) State transition over the cell
-    b_left: FloatArray  # (d,) Effect of the input's value at the left end of the cell
-    b_right: FloatArray  # (d,) The same at the right end
-
-    @classmethod
-    def from_continuous(cls, a: FloatArray, b: FloatArray, h: float) -> DiscreteSystem:
-        """Discretise ``s_dot = a s + b v`` for piecewise linear inputs over cells of `h` s.
-
-        The exponential of the augmented matrix gives the exact solution (Van Loan 1978).
-        """
-        d = len(a)
-        augmented = np.zeros((d + 2, d + 2))
-        augmented[:d, :d] = a * h
-        augmented[:d, d] = b * h
-        augmented[d, d + 1] = 1.0
-        e = expm(augmented)
-        constant, slope = e[:d, d], e[:d, d + 1]
-        return cls(e[:d, :d], constant - slope, slope)
+    d = len(a)
+    augmented = np.zeros((d + 2, d + 2))
+    augmented[:d, :d] = a * h
+    augmented[:d, d] = b * h
+    augmented[d, d + 1] = 1.0
+    e = expm(augmented)
+    constant, slope = e[:d, d], e[:d, d + 1]
+    return e[:d, :d], constant - slope, slope
 
 
-def low_pass(
-    cutoff: float,  # rad/s
-    h: float,  # Cell width, s
-) -> DiscreteSystem:
-    """Return a second-order Butterworth low-pass with ``s = [z, z_dot]``: output and derivative."""
+def low_pass(cutoff: float) -> tuple[FloatArray, FloatArray]:
+    """Return a and b of a Butterworth low-pass of second order, ``s = [output, derivative]``.
+
+    The cut-off is in rad/s.
+    """
     a = np.array([[0.0, 1.0], [-(cutoff**2), -np.sqrt(2.0) * cutoff]])
-    return DiscreteSystem.from_continuous(a, np.array([0.0, cutoff**2]), h)
+    return a, np.array([0.0, cutoff**2])
 
 
 class BlockFilter:
-    """Filter of N channels by one discrete system of d states, block by block."""
+    """Filter of N channels by one linear system of d states, block by block."""
 
-    def __init__(self, system: DiscreteSystem, channels: int) -> None:
-        d = len(system.a)
+    def __init__(
+        self,
+        # ``s_dot = a s + b v``, 1/s
+        a: FloatArray,  # (d, d)
+        b: FloatArray,  # (d,)
+        h: float,  # Cell width, s
+        channels: int,
+    ) -> None:
+        a, *ends = discretised(a, b, h)
+        d = len(a)
         self.state: FloatArray = np.zeros((d, channels))
         powers = np.empty((BLOCK + 1, d, d))
         powers[0] = np.eye(d)
         for i in range(BLOCK):
-            powers[i + 1] = system.a @ powers[i]
+            powers[i + 1] = a @ powers[i]
         # free[c, i]: state component c after i + 1 cells, from the state at the start.
         free = powers[1:].transpose(1, 0, 2)
-        left, right = (self._forced(powers, b) for b in (system.b_left, system.b_right))
+        left, right = (self._forced(powers, end) for end in ends)
         self._response = (free, left, right)
         self._kernels: dict[int, FloatArray] = {}
 

@@ -30,7 +30,6 @@ from uav_ident_ros.identification.regression import (
     BackwardDifference,
     Regression,
     StateVariableFilter,
-    layout,
 )
 from uav_ident_ros.identification.samples import (
     ACTUATORS,
@@ -176,7 +175,6 @@ class OnlineIdentifier:
         self._make_estimator = estimator
         self.settings = settings
         self.structure = STRUCTURES[settings.structure]
-        self._layout = layout(self.structure)
         self._initial = initial
         self._frame = BodyFrame(settings.imu)
         self.sampler = Sampler(settings)
@@ -535,7 +533,7 @@ class OnlineIdentifier:
             stretch.states,
             self._speed.scale[0] if self._speed.enabled else None,
             self._flown,
-            block.excitation if stretch.injected else None,
+            injected=stretch.injected,
         )
 
     def _estimate(self, samples: Regression, t_ns: int, ticks: int) -> None:
@@ -549,7 +547,7 @@ class OnlineIdentifier:
             self.plausibility.exchanged.add(samples)
         rows, white = estimator.conditioned(samples)
         weight = supervisor.weigh(rows.residual[: len(ROWS)].T, samples.time, estimator.clear)
-        inputs = white.f[MAIN_DERIVATIVES[0], :, self._layout.main]
+        inputs = white.f[MAIN_DERIVATIVES[0], :, estimator.information.layout.main]
         effect = estimator.linear[MAIN_DERIVATIVES][:, None] * inputs
         supervisor.confirmed.add(
             white,

@@ -275,7 +275,6 @@ class IdentifiedModel:
         self._formed: tuple[bytes, float] | None = None  # Coefficients and leak of `_derivative`
         # xm: predicted p, q, r, rad/s, FRD; with flow angles beta, alpha, rad, and down as well
         self.state: FloatArray = np.zeros(8 if structure.has_flow else 3)
-        self.resets = 0  # Number of resets to the measured state after a divergence
 
     def run(
         self,
@@ -288,7 +287,6 @@ class IdentifiedModel:
             self.state = block.state[0]
         states = self.propagate(coefficients, block, self.state, leak_time)
         if diverged(states[-1].tolist()):
-            self.resets += 1
             states = block.state
         self.state = states[-1]
         return states
@@ -365,7 +363,6 @@ class IdentifiedModel:
         if leak_time > 0.0:
             state = state + min(dt / leak_time, 1.0) * (x - self.state)
         if diverged(state.tolist()):
-            self.resets += 1
             state = np.array(x)
         self.state = state
 

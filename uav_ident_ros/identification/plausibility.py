@@ -472,7 +472,7 @@ def exchange_finding(
 
 def turn_finding(exchanged: ExchangedInputs, imu: ImuSettings) -> Finding | None:
     """Return a warning if inputs act on each other's axes as with an Imu that is turned."""
-    if (turn := exchanged.turned(SURE)) is None:
+    if (turn := exchanged.turned()) is None:
         return None
     roll, yaw = turn.tolist()
     angles = [

@@ -309,7 +309,7 @@ class StateVariableFilter:
             slice(angles, turned), slice(turned, more), slice(more, more + len(structure.own))
         )  # fmt: skip
         self._z = slice(self._f.stop, self._f.stop + self._own.stop)
-        self._filter = BlockFilter(low_pass(cutoff, h), self._z.stop)
+        self._filter = BlockFilter(*low_pass(cutoff), h, self._z.stop)
         # Of y, f and z side by side: indices of the channels, and then of their derivatives.
         low, slope = np.arange(2 * self._z.stop).reshape(2, -1)
         turning = [j - RATE_COLUMNS.start for j in self._rates]
@@ -334,12 +334,12 @@ class StateVariableFilter:
         scale: FloatArray | None = None,
         # (R, n) Coefficients of the model; its forces follow from them
         coefficients: FloatArray | None = None,
-        # (m, 4) The injected part of the inputs, if the model ran on it alone
-        driven_by: FloatArray | None = None,
+        *,
+        injected: bool = False,  # Whether the model ran on the injected part of the inputs alone
     ) -> Regression:
         """Filter one block."""
-        injected = driven_by is not None
-        inputs = block.u if driven_by is None else driven_by
+        inputs = block.excitation if injected else block.u
+        assert inputs is not None
         lines, held = self._channels(block, model_states, inputs, coefficients)
         if scale is not None:
             factor = self._factor(scale)

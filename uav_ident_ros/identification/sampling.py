@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from uav_ident_ros.identification.filters import BlockFilter, DiscreteSystem
+from uav_ident_ros.identification.filters import BlockFilter
 from uav_ident_ros.identification.frames import BodyFrame, centripetal
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.scales import IN_A_ROW, SAMPLE_TIME
@@ -72,7 +72,7 @@ class ServoLag:
         self._filter: BlockFilter | None = None
         if time_constant > 0.0:
             a = np.array([[-1.0 / time_constant]])
-            self._filter = BlockFilter(DiscreteSystem.from_continuous(a, -a[0], h), 4)
+            self._filter = BlockFilter(a, -a[0], h, len(INPUTS))
 
     def apply(self, u: FloatArray, *, restarted: bool) -> FloatArray:
         """Return cell means of the deflection from those of the command, shape (m, 4).

@@ -36,22 +36,6 @@ class WaveformError(ValueError):
     """A shape is not possible; the message names it and the reason."""
 
 
-@dataclass(frozen=True)
-class Multisine:
-    """Sum of harmonics of one period with optimised phases, peak amplitude one."""
-
-    period: float  # Common period of all harmonics, s
-    harmonics: tuple[int, ...]  # Frequencies as multiples of 1 / period, with equal power
-    phases: FloatArray  # (k,) Their phases, rad
-    peak: float  # Peak of the sum of unit cosines, by which `sample` divides
-
-    def sample(self, t: FloatArray) -> FloatArray:
-        """Evaluate at times t, s; peak about one, zero at t = 0."""
-        omega = 2.0 * np.pi / self.period * np.asarray(self.harmonics)
-        waves = np.cos(np.multiply.outer(t, omega) + self.phases)
-        return np.asarray(waves.sum(axis=-1) / self.peak)
-
-
 def _period(harmonics: Sequence[int], phases: FloatArray) -> FloatArray:
     """Return one period of the sum of unit cosines, by inverse FFT."""
     count = 1 << math.ceil(math.log2(PEAK_SAMPLES_PER_CYCLE * max(harmonics)))
@@ -89,25 +73,8 @@ def _low_peak_phases(harmonics: Sequence[int], rng: np.random.Generator) -> Floa
 
 
 @lru_cache(maxsize=64)
-def multisine(
-    period: float,  # Common period, s
-    harmonics: tuple[int, ...],  # Multiples of 1 / period, each at least 1
-    seed: int = 0,
-) -> Multisine:
-    """Design a multisine with a low relative peak factor that starts at zero.
-
-    The seed selects the initial phases of the optimisation.
-
-    Raises
-    ------
-    WaveformError
-        If there are no such harmonics.
-    """
-    if period <= 0.0 or not harmonics or min(harmonics) < 1:
-        raise WaveformError(
-            f"multisine with period {period} s and harmonics {list(harmonics)}: the period must "
-            "be positive and the harmonics whole numbers from 1"
-        )
+def _design(harmonics: tuple[int, ...], seed: int) -> tuple[FloatArray, float]:
+    """Return the phases, rad, of unit cosines with a sum that starts at zero, and its peak."""
     phases = _low_peak_phases(harmonics, np.random.default_rng(seed))
     signal = _period(harmonics, phases)
     # A time shift of all harmonics keeps the shape: begin at an upward zero crossing.
@@ -115,13 +82,17 @@ def multisine(
     fraction = signal[crossing] / (signal[crossing] - np.roll(signal, -1)[crossing])
     shift = 2.0 * np.pi * (crossing + fraction) / len(signal)
     phases = np.mod(phases + shift * np.asarray(harmonics), 2.0 * np.pi)
-    return Multisine(period, tuple(harmonics), phases, float(np.abs(signal).max()))
+    return phases, float(np.abs(signal).max())
 
 
-def disjoint_harmonics(
-    count: int, period: float, band: tuple[float, float]
-) -> tuple[tuple[int, ...], ...]:
-    """Distribute the harmonics of a band, Hz, over `count` inputs in turn.
+def multisines(
+    t: FloatArray,  # (k,) Times from the start, s
+    count: int,  # Number of inputs
+    period: float,  # Common period of all harmonics, s
+    band: tuple[float, float],  # Lowest and highest frequency, Hz; its harmonics go in turn
+    seed: int = 0,  # Of the initial phases of the optimisation
+) -> FloatArray:
+    """Return orthogonal multisines of `count` inputs, of a low peak factor, (k, count).
 
     Raises
     ------
@@ -136,15 +107,13 @@ def disjoint_harmonics(
             f"{max(0, last - first + 1)} harmonics: at least {count}, one per input, are needed; "
             "widen the band or lengthen the period"
         )
-    return tuple(tuple(range(first + i, last + 1, count)) for i in range(count))
-
-
-def multisines(
-    t: FloatArray, count: int, period: float, band: tuple[float, float], seed: int = 0
-) -> FloatArray:
-    """Return orthogonal multisines of `count` inputs at times t (s), shape (len(t), count)."""
-    own = enumerate(disjoint_harmonics(count, period, band))
-    return np.stack([multisine(period, h, seed + i).sample(t) for i, h in own], axis=1)
+    signals = []
+    for i in range(count):
+        harmonics = tuple(range(first + i, last + 1, count))
+        phases, peak = _design(harmonics, seed + i)
+        omega = 2.0 * np.pi / period * np.asarray(harmonics)
+        signals.append(np.cos(np.multiply.outer(t, omega) + phases).sum(axis=-1) / peak)
+    return np.stack(signals, axis=1)
 
 
 def turn_time(shape: str, unit: float, pause: float) -> float:
