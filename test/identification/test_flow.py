@@ -215,7 +215,7 @@ def test_a_roll_in_a_sideslip_changes_alpha_as_the_kinematics_row_predicts() -> 
     whole = np.concatenate((states[:, :5], down), axis=1)
     (block,) = blocks(states[:, :3], u, h, force)
     block = replace(block, state=whole, airspeed=SPEED)
-    found = StateVariableFilter(FLIGHT, CUTOFF, h, np.zeros(3)).apply(block, whole, None, a)
+    found = StateVariableFilter(FLIGHT, CUTOFF, h, np.zeros(3)).apply(block, None, a)
     columns = [FLIGHT.size + 1, -2, FLIGHT.column("1")]  # kinematics, de's slope, bias
     slopes, *_ = np.linalg.lstsq(found.f[:, columns], found.y[:, 4], rcond=None)
     left = found.y[:, 4] - found.f[:, columns] @ slopes

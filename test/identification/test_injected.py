@@ -171,7 +171,8 @@ def test_the_response_to_injected_signals_lasts_two_seconds() -> None:
         excitation = np.full((10, 4), 0.1 if k < 20 else 0.0)
         t_ns = (10 * k + np.arange(11)) * 5 * MS
         block = Block(t_ns, 0.005, still, excitation, still, k == 0, excitation)
-        injected_only.append(model.follow(block, np.zeros(structure.mask.shape), 0.0)[1])
+        model.follow(block, np.zeros(structure.mask.shape), 0.0)
+        injected_only.append(block.injected)
     assert injected_only[:20] == [True] * 20
     assert sum(injected_only[20:]) * 0.05 == pytest.approx(2.0, abs=0.06)
 

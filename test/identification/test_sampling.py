@@ -77,7 +77,7 @@ def misfit(measurements: Measurements, cutoff: float = 15.0, **changes: Any) -> 
     for block in sampled(measurements, **changes)[1]:
         if svf is None:
             svf = StateVariableFilter(structure, cutoff, block.h, np.zeros(3))
-        data = svf.apply(block, block.x)
+        data = svf.apply(block)
         residuals.append(data.y - data.f @ flight.coefficients.T)
         accelerations.append(data.y)
     e, y = np.concatenate(residuals), np.concatenate(accelerations)
@@ -109,7 +109,7 @@ def test_the_lever_arm_corrects_an_offset_accelerometer() -> None:
     for arm in arms:
         svf = StateVariableFilter(structure, 15.0, 0.001, np.array(arm))
         own = measure(flight, Sensors(1000.0, lever_arm=arm))
-        forces.append(np.concatenate([svf.apply(b, b.x).f[:, 13:] for b in sampled(own)[1]]))
+        forces.append(np.concatenate([svf.apply(b).f[:, 13:] for b in sampled(own)[1]]))
     uncorrected = flight.force_at(arms[1])[:, 1:] - flight.force_at(arms[0])[:, 1:]
     # The rest is half a cell: held inputs make the accelerations jump between two samples.
     assert np.abs(forces[1] - forces[0]).max() < 0.01 * np.abs(uncorrected).max()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -43,7 +42,7 @@ from uav_ident_ros.identification.samples import (
     Intake,
     SampleBuffer,
 )
-from uav_ident_ros.identification.sampling import Block, Sampler, edge_values, join
+from uav_ident_ros.identification.sampling import Block, Sampler, join
 from uav_ident_ros.identification.scales import (
     INDEPENDENT_TIME,
     LOOK_TIME,
@@ -69,27 +68,6 @@ less of simulated ones. Samples of an Imu slower than `SAMPLE_TIME` are used at 
 
 START_LEAK_TIME = 0.5 * INDEPENDENT_TIME
 """Time constant of the leak until `START_TIME`, s: with poor coefficients rate products diverge."""
-
-
-class Stretch(NamedTuple):
-    """Consecutive blocks of samples, and the identified model beside them."""
-
-    block: Block  # Measured signals over m cells
-    states: FloatArray  # (m + 1, 3 or 8) State of the identified model at the edges
-    learns: bool  # Whether the gates are open
-    readable: bool  # Whether it may be scored
-    injected: bool  # Whether the states are the response to the injected signals only
-    blocks: int = 1  # Number of blocks, one a tick
-
-    @classmethod
-    def joined(cls, parts: list[Stretch]) -> Stretch:
-        """Join stretches that continue one another, with the same flags; the list is cleared."""
-        first, *more = parts
-        if more:
-            block, states = join([p.block for p in parts]), edge_values([p.states for p in parts])
-            first = first._replace(block=block, states=states, blocks=len(parts))
-        parts.clear()
-        return first
 
 
 class OnlineIdentifier:
@@ -297,7 +275,9 @@ class OnlineIdentifier:
         self._outliers = Outliers()
         self.intake.restart()
         self._filter: StateVariableFilter | None = None
-        self._parts: list[Stretch] = []  # Of the next stretch
+        # Blocks to learn from together. Of each: whether to learn, to score, and `injected`
+        self._parts: list[Block] = []
+        self._flags = (False, False, False)
         self._news = True
         self._paper = BackwardDifference(self.structure)
         self.running_fit.restart()
@@ -440,7 +420,7 @@ class OnlineIdentifier:
         return estimate
 
     def _tick(self, t_ns: int) -> Estimate:
-        """Run one tick: check the signals, segment, score, regress, estimate, judge, publish."""
+        """Run one tick: check the signals, follow the flight, learn, judge, publish."""
         self.idle += 1.0 / self.settings.update_rate
         for buffer in self.intake.buffers.values():
             buffer.merge(t_ns)
@@ -449,12 +429,10 @@ class OnlineIdentifier:
         if self._as_paper:
             self._paper_tick(t_ns)
         else:
-            for stretch in self._segment(t_ns):
-                self._score(stretch)
-                samples = self._regress(stretch)
-                if stretch.learns:  # all gates were open
-                    self._estimate(samples.means(), int(stretch.block.t_ns[-1]), stretch.blocks)
-                    self._adopt_delay(stretch.block)
+            for block in self.sampler.blocks():
+                self._fed_ns = t_ns
+                self._follow(block)
+                self._gather(block)
         self._judge(t_ns)
         return self._publish(t_ns)
 
@@ -486,55 +464,51 @@ class OnlineIdentifier:
         )  # fmt: skip
         supervisor.gates.look(look)
 
-    def _segment(self, t_ns: int) -> Iterator[Stretch]:
-        """Run the model over the blocks that this tick completes; yield completed stretches."""
-        gates, speed = self.supervisor.gates, self._speed
-        for block in self.sampler.blocks():
-            self._fed_ns = t_ns
-            if not self._has_accelerometer and self._flow is not None:
-                self._detect_accelerometer(block)
-            length = STRETCH_TIME if block.h <= SAMPLE_TIME else 0.0
-            leak = self.settings.model.leak_time
-            if self._learned_time < START_TIME:
-                length, leak = 0.0, min(leak, START_LEAK_TIME)
-            now = self._flown
-            if self._flow is not None:
-                self._flow.follow(block, now, speed.airspeed)
-                if self._flow.realigned:
-                    self._drifted, self._fresh = True, None
-                    longest = self.settings.actuators.longest_delay
-                    self.delays = DelayBank(longest, self.lag, self.delays)
-            states, injected = self._parallel.follow(block, now, leak)
-            flags = speed.known and not gates.closed, not gates.unreadable, injected
-            parts = self._parts
-            if parts and (block.restarted or flags != parts[0][2:5]):
-                yield Stretch.joined(parts)
-            parts.append(Stretch(block, states, *flags))
-            if sum(p.block.time for p in parts) >= length - 0.5 * block.h:
-                yield Stretch.joined(parts)
+    def _follow(self, block: Block) -> None:
+        """Add attitude and flow angles, and the state of the model beside the aircraft."""
+        if self._flow is not None and not self._has_accelerometer:
+            self._detect_accelerometer(block)
+        coefficients, leak = self._flown, self.settings.model.leak_time
+        if self._flow is not None:
+            self._flow.follow(block, coefficients, self._speed.airspeed)
+            if self._flow.realigned:
+                self._drifted, self._fresh = True, None
+                longest = self.settings.actuators.longest_delay
+                self.delays = DelayBank(longest, self.lag, self.delays)
+        if self._learned_time < START_TIME:
+            leak = min(leak, START_LEAK_TIME)
+        self._parallel.follow(block, coefficients, leak)
 
-    def _score(self, stretch: Stretch) -> None:
-        """Score the coefficients on data that they were not estimated from."""
+    def _gather(self, block: Block) -> None:
+        """Learn from consecutive blocks together, as soon as they are long enough."""
+        gates, early = self.supervisor.gates, self._learned_time < START_TIME
+        flags = self._speed.known and not gates.closed, not gates.unreadable, block.injected
+        if self._parts and (block.restarted or flags != self._flags):
+            self._learn()
+        self._parts.append(block)
+        self._flags = flags
+        length = 0.0 if early or block.h > SAMPLE_TIME else STRETCH_TIME
+        if sum(part.time for part in self._parts) >= length - 0.5 * block.h:
+            self._learn()
+
+    def _learn(self) -> None:
+        """Score the coefficients on data that they were not estimated from, and update them."""
+        block, ticks, (learns, readable, _) = join(self._parts), len(self._parts), self._flags
+        self._parts.clear()
         self._news = True
-        if stretch.readable:
+        if readable:
             saved = None if self._saved is None else self._saved * self._speed.scale
-            self.running_fit.add(stretch.block, self._flown, saved)
+            self.running_fit.add(block, self._flown, saved)
         else:
             self.running_fit.restart()
-
-    def _regress(self, stretch: Stretch) -> Regression:
-        """Return the regression problem of a stretch."""
-        block = stretch.block
         if self._filter is None:
             cutoff, arm = self.settings.filter.cutoff, np.array(self.settings.imu.lever_arm)
             self._filter = StateVariableFilter(self.structure, cutoff, block.h, arm)
-        return self._filter.apply(
-            block,
-            stretch.states,
-            self._speed.scale[0] if self._speed.enabled else None,
-            self._flown,
-            injected=stretch.injected,
-        )
+        scale = self._speed.scale[0] if self._speed.enabled else None
+        samples = self._filter.apply(block, scale, self._flown)
+        if learns:
+            self._estimate(samples.means(), int(block.t_ns[-1]), ticks)
+            self._adopt_delay(block)
 
     def _estimate(self, samples: Regression, t_ns: int, ticks: int) -> None:
         """Update the coefficients with the samples of some ticks that end at `t_ns`."""

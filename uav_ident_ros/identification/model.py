@@ -414,18 +414,12 @@ class ParallelModel:
         block: Block,  # Measured signals over m cells; its flow angles are known
         coefficients: FloatArray,  # (R, n) A_m at the airspeed flown
         leak_time: float,  # Of the leak towards the measured state, s; 0 for none
-    ) -> tuple[FloatArray, bool]:
-        """Run the model over a block.
-
-        Returned are the state at the edges, (m + 1, 3 or 8), from which instruments follow, and
-        whether it is the response to the injected signals only.
-        """
-        states = self.model.run(coefficients, block, leak_time)
+    ) -> None:
+        """Run the model over a block, and add its state, from which instruments follow."""
+        block.model_state = self.model.run(coefficients, block, leak_time)
         self._since_injected += block.time
-        if block.excitation is None:
-            return states, False
-        if block.excitation.any():
+        if block.excitation is not None and block.excitation.any():
             self._since_injected = 0.0
-        if self._since_injected >= RESPONSE_TIME:
-            return states, False
-        return self._response.respond(coefficients, block, leak_time), True
+        block.injected = block.excitation is not None and self._since_injected < RESPONSE_TIME
+        if block.injected:
+            block.model_state = self._response.respond(coefficients, block, leak_time)

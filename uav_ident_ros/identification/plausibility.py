@@ -139,6 +139,7 @@ class Plausibility:
         self._settings = settings
         self._frame = BodyFrame(settings.imu)
         self._map = InputMap(settings.actuators)
+        self._multirotor = settings.actuators.multirotor
         self.exchanged = ExchangedInputs()  # From the samples that are learned from
         # Integrals over time of direction (3), vector (3) and magnitude (1) of the specific force
         self._sums: FloatArray = np.zeros(7)
@@ -187,7 +188,7 @@ class Plausibility:
         gyro: GyroFilters | None = None,  # None without flow angles: rotors fly backwards as well
     ) -> None:
         """Check for reversed inputs, by the coefficients, swapped ones, and wrong axes."""
-        settings, motors = self._settings, self._settings.actuators.multirotor
+        settings, motors = self._settings, self._multirotor
         expected = settings.supervision.expected_signs
         known = STRUCTURES[settings.structure], coefficients, sigma, expected
 

@@ -329,18 +329,13 @@ class StateVariableFilter:
     def apply(
         self,
         block: Block,  # Signals over m cells
-        model_states: FloatArray,  # (m + 1, 3 or 8) State of the identified model at the edges
         # (n,) Factor of each of the structure's regressors in the moment rows at the airspeed flown
         scale: FloatArray | None = None,
         # (R, n) Coefficients of the model; its forces follow from them
         coefficients: FloatArray | None = None,
-        *,
-        injected: bool = False,  # Whether the model ran on the injected part of the inputs alone
     ) -> Regression:
         """Filter one block."""
-        inputs = block.excitation if injected else block.u
-        assert inputs is not None
-        lines, held = self._channels(block, model_states, inputs, coefficients)
+        lines, held = self._channels(block, coefficients)
         if scale is not None:
             factor = self._factor(scale)
             lines *= factor
@@ -350,9 +345,9 @@ class StateVariableFilter:
             known = slice(0, self._f.start)
             self._filter.state[0, known] = lines[0, known] + held[0, known]
         low, slope = self._filter.apply(lines, held)
-        signals = np.concatenate((low, slope), axis=1).take(self._picked[injected], axis=1)
+        signals = np.concatenate((low, slope), axis=1).take(self._picked[block.injected], axis=1)
         signals = without_negligible(signals)
-        found = Regression(signals, self._rows, block.h, block.restarted, injected)
+        found = Regression(signals, self._rows, block.h, block.restarted, block.injected)
         if scale is not None and self._rates:
             first = self._f.stop - self._f.start
             found.f[:, first : first + len(self._rates)] *= scale[self._rates]
@@ -361,16 +356,14 @@ class StateVariableFilter:
         return found
 
     def _channels(
-        self,
-        block: Block,
-        model_states: FloatArray,
-        driven_by: FloatArray,
-        coefficients: FloatArray | None,
+        self, block: Block, coefficients: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the channels over the cells: straight lines between edges, and held values."""
-        n, points = self._structure.size, len(block.x)
+        n, points, model_state = self._structure.size, len(block.x), block.model_state
+        driven_by = block.excitation if block.injected else block.u
+        assert driven_by is not None
         lines, held = np.zeros((points, self._z.stop)), np.zeros((points - 1, self._z.stop))
-        states = np.concatenate((block.state, model_states))
+        states = np.concatenate((block.state, model_state))
         both = self._structure.regressor(states[:, :3], np.zeros(len(INPUTS)))
         f, z = lines[:, self._f], lines[:, self._z]
         lines[:, :3] = block.x
@@ -381,7 +374,7 @@ class StateVariableFilter:
         if block.airspeed is not None:
             assert coefficients is not None
             made, v = coefficients[3:5], block.airspeed
-            force = np.concatenate((block.force, model_states[:, :5] @ made.take(_FLOW_STATE, 1).T))
+            force = np.concatenate((block.force, model_state[:, :5] @ made.take(_FLOW_STATE, 1).T))
             turning = (force + GRAVITY * states[:, 6:]) / v
             turning += (states[:, :1] * states[:, 4:2:-1] - states[:, 2:0:-1]) * _TURNING
             lines[:, 3:5] = block.force
@@ -406,7 +399,7 @@ class StateVariableFilter:
             f[:, OWN_COLUMNS.start : n] = 0.0
             for at, x, u in (
                 (held[:, self._f][:, OWN_COLUMNS.start : n], block.x, block.u),
-                (held[:, self._z][:, self._own], model_states[:, :3], driven_by),
+                (held[:, self._z][:, self._own], model_state[:, :3], driven_by),
             ):
                 at[:] = self._structure.own_values(0.5 * (x[1:] + x[:-1]), u)
         return lines, held

@@ -159,6 +159,9 @@ class Block:
         self.x = self.state[:, :3]  # (m + 1, 3) Rates p, q, r at the edges, rad/s
         self.force = self.specific_force[:, 1:]  # (m + 1, 2) ay, az at the edges, m/s^2
         self.time = self.h * len(self.u)  # Length of the block, s
+        # State of the identified model at the edges, as `state`; the measured one before its run
+        self.model_state = self.state
+        self.injected = False  # Whether it is the response to the injected part of `u` alone
 
 
 def join(blocks: Sequence[Block]) -> Block:
@@ -174,7 +177,7 @@ def join(blocks: Sequence[Block]) -> Block:
         return np.concatenate([np.zeros_like(b.u) if v is None else v for v, b in both])
 
     first = blocks[0]
-    return Block(
+    joined = Block(
         edge_values([block.t_ns for block in blocks]),
         first.h,
         edge_values([block.state for block in blocks]),
@@ -185,6 +188,9 @@ def join(blocks: Sequence[Block]) -> Block:
         of_cells([block.early for block in blocks]),
         first.airspeed,
     )
+    joined.model_state = edge_values([block.model_state for block in blocks])
+    joined.injected = first.injected
+    return joined
 
 
 def edge_values(parts: Sequence[Edges]) -> Edges:

@@ -169,7 +169,7 @@ def _force_share(run: OfflineRun, parts: Sequence[Stretch]) -> dict[str, float]:
         whole = None
         for block in run.blocks(part):
             whole = whole or StateVariableFilter(FULL, settings.filter.cutoff, block.h, arm)
-            data = whole.apply(block, block.x)
+            data = whole.apply(block)
             signals = np.hstack([data.f, data.y])
             products += signals.T @ signals
 
