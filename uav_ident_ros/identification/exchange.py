@@ -122,15 +122,16 @@ class ExchangedInputs:
 
         The residuals of `INDEPENDENT_TIME` count as one. Inputs that do not move have no effect.
         """
-        k = len(self._sums) - len(ROWS)
-        power, squares = np.split(np.diagonal(self._sums), [k])
-        moved = power > 0.0
-        scale = np.where(moved, 1.0 / np.sqrt(np.where(moved, power, 1.0)), 0.0)
+        k, power = len(self._sums) - len(ROWS), self._sums.diagonal()
+        scale = np.divide(1.0, np.sqrt(power[:k]), out=np.zeros(k), where=power[:k] > 0.0)[:, None]
         ff, fy = self._sums[:k, :k], self._sums[:k, k:]
-        inverse = np.linalg.inv(ff * np.outer(scale, scale) + ROUNDING * np.eye(k))
-        solved = scale[:, None] * (inverse @ (scale[:, None] * fy))
-        left = squares - (solved * fy).sum(axis=0)
+        matrix = ff * (scale * scale.T)
+        diagonal(matrix)[...] += ROUNDING
+        inverse = np.linalg.inv(matrix)
+        solved = scale * (inverse @ (scale * fy))
+        left = power[k:] - np.add.reduce(solved * fy)
         # Each row's mean square, by the degrees of freedom that are left
         square = np.maximum(left, TINY) / self._time * self._samples / (self._samples - k)
-        spread = np.where(moved, np.diagonal(inverse) * scale**2 * INDEPENDENT_TIME, np.inf)[MAINS]
-        self._effect, self._sigma = solved[MAINS].T, np.sqrt(np.outer(square, spread))
+        spread = diagonal(inverse)[MAINS] * scale[MAINS, 0] ** 2 * INDEPENDENT_TIME
+        spread[power[MAINS] == 0.0] = np.inf
+        self._effect, self._sigma = solved[MAINS].T, np.sqrt(square[:, None] * spread)

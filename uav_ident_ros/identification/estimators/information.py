@@ -81,7 +81,7 @@ class Sums:
         self.scores, self.power = squares[:, :, 3], squares[:, :, 4]
         # Number of blocks; time with feedback, by chance or not, s; sum of the squares of the main
         # input's instrument, of injected samples, times dt
-        self.blocks, self.answer_time, self.injected = np.moveaxis(table[..., -3:], -1, 0)
+        self.blocks, self.answer_time, self.injected = (table[..., k] for k in (-3, -2, -1))
 
     @classmethod
     def empty(cls, parts: int, rows: int, k: int) -> Self:
