@@ -3,13 +3,13 @@
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import INPUT_COLUMNS, MAIN_DERIVATIVES, FloatArray
+from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, MAIN_PLACES, FloatArray
 
 REST = 1e-3
 """Weight of small inputs relative to the acceleration error, both as shares of full travel. It
 decides only between inputs of equal effect."""
 
-AXES, MAINS = MAIN_DERIVATIVES[0], MAIN_DERIVATIVES[1] - INPUT_COLUMNS.start
+AXES, MAINS = MAIN_DERIVATIVES[0], MAIN_PLACES
 """Rows and columns of the main control derivatives in B: each axis, and its own input."""
 
 

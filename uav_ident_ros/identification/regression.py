@@ -34,6 +34,7 @@ from uav_ident_ros.identification.structure import (
     INPUTS,
     LAST_COLUMNS,
     MAIN_COLUMNS,
+    MAIN_PLACES,
     OWN_COLUMNS,
     RATE_COLUMNS,
     ROWS,
@@ -77,8 +78,8 @@ class Layout:
     @cached_property
     def driven_by(self) -> NDArray[np.intp]:
         """Input of each instrument, (rows, k): itself, or else the row's main input."""
-        main = MAIN_COLUMNS - INPUT_COLUMNS.start
-        rows = np.array([*main, main[2], main[1]])[: self.rows]  # side force by rudder, lift by de
+        aileron, elevator, rudder = MAIN_PLACES  # The rudder makes side force, the elevator lift
+        rows = np.array([aileron, elevator, rudder, rudder, elevator])[: self.rows]
         own = self.index - INPUT_COLUMNS.start
         return np.where((own >= 0) & (own < len(INPUTS)), own, rows[:, None])
 

@@ -32,6 +32,7 @@ from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
     MAIN_INPUTS,
+    MAIN_PLACES,
     ROWS,
     BoolArray,
     FloatArray,
@@ -113,10 +114,6 @@ def _lags(m: int) -> NDArray[np.intp]:
 ANSWER_TIMES = np.geomspace(2.0 * SAMPLE_TIME, RESPONSE_TIME, 3)
 """Time constants of the fading past residuals, s: from a rate loop, as fast as the samples allow,
 to an attitude loop."""
-
-
-MAIN_PLACES = [INPUTS.index(MAIN_INPUTS[row]) for row in ROWS]
-"""Main input of each moment row among the inputs."""
 
 
 class Feedback:

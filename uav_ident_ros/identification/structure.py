@@ -57,6 +57,9 @@ INPUT_COLUMNS = slice(8, 12)
 MAIN_COLUMNS = np.array([PAPER_REGRESSORS.index(MAIN_INPUTS[row]) for row in ROWS])
 """Column of each moment row's main input."""
 
+MAIN_PLACES = MAIN_COLUMNS - INPUT_COLUMNS.start
+"""Place of each moment row's main input among the inputs."""
+
 MAIN_DERIVATIVES = np.arange(len(ROWS)), MAIN_COLUMNS
 """Index of each moment row's main control derivative."""
 

@@ -31,6 +31,7 @@ from uav_ident_ros.identification.structure import (
     INPUTS,
     MAIN_DERIVATIVES,
     MAIN_INPUTS,
+    RATES,
     ROWS,
     BoolArray,
     FloatArray,
@@ -41,8 +42,6 @@ JUDGED_FROM = MEMORY
 """Learning time before the verdict of a cold start, s. By then unmodelled lag, delay and saturation
 are detected: after 10 to 28 s on two aircraft (benchmarks/false_usable.py, unmodelled).
 `ModelError` needs more blocks of a second than the eleven coefficients that it solves for."""
-
-AXES = ("p", "q", "r")
 
 
 class State(StrEnum):
@@ -350,7 +349,7 @@ def _poor_fit(settings: SupervisionSettings, running: RunningFit, i: int) -> str
     if fit >= needed:
         return ""
     return (
-        f"the 1-second prediction fit of {AXES[i]} of late is {fit:.0f} % "
+        f"the 1-second prediction fit of {RATES[i]} of late is {fit:.0f} % "
         f"(holding the rate: {hold:.0f} %, needed: {needed:.0f} %)"
     )
 

@@ -34,6 +34,7 @@ from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
     MAIN_DERIVATIVES,
+    MAIN_PLACES,
     ROWS,
     BoolArray,
     FloatArray,
@@ -135,9 +136,9 @@ class ChangeDetector:
         size, power, explained, noise = _fitted(regressors, residual[:, self._row])
         known = np.append(np.abs(rows[self._places[0], self._column]), np.ones(len(ROWS)))
         # A row's sigma has two parts: its main derivative's, and that of its factor by the noise.
-        main = MAIN_DERIVATIVES
-        relative = _ratio(sigma[main[0], main[1] - INPUT_COLUMNS.start], np.abs(rows[main]))
-        relative[rows[main] == 0.0] = np.inf
+        main = rows[MAIN_DERIVATIVES]
+        relative = _ratio(sigma[range(len(ROWS)), MAIN_PLACES], np.abs(main))
+        relative[main == 0.0] = np.inf
         sigma = np.append(sigma[self._places], np.hypot(relative, noise[~self._surfaces]))
         self._newest.append((size * size * power, power, sigma))
         unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)

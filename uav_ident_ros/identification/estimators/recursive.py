@@ -20,7 +20,7 @@ from uav_ident_ros.identification.estimators.model_error import ModelError, know
 from uav_ident_ros.identification.gates import ExcitationGate
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.residuals import MAIN_PLACES, Feedback
+from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     LOOK_TIME,
@@ -35,6 +35,7 @@ from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     MAIN_COLUMNS,
     MAIN_DERIVATIVES,
+    MAIN_PLACES,
     RATE_COLUMNS,
     ROWS,
     STRUCTURES,
