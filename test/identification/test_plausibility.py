@@ -332,7 +332,7 @@ class Learning:
         """Return the findings at a time, s, from the coefficients at that time."""
         nothing = np.zeros((0, 6))
         self.checks.look(t, nothing, nothing[:, :4])
-        self.checks.judge(matrix(STRUCTURE, values), np.full(STRUCTURE.mask.shape, sigma))
+        self.checks.judge(t, matrix(STRUCTURE, values), np.full(STRUCTURE.mask.shape, sigma))
         return [finding.name for finding in self.checks.findings]
 
 
@@ -415,7 +415,7 @@ def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> No
         (11.0, -1.0, False, False),
     ):
         checks.look(t, nothing, nothing[:, :4])
-        checks.judge(values, np.ones_like(values), cast(GyroFilters, Evidence(sigma)))
+        checks.judge(t, values, np.ones_like(values), cast(GyroFilters, Evidence(sigma)))
         assert (checks.doubt is not None, bool(checks.fault)) == (doubted, named), t
         assert [finding.name for finding in checks.findings] == ["axes"] * named, t
 

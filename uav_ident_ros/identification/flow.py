@@ -85,7 +85,6 @@ class FlowObserver:
         self._rate = cutoff
         self._reference = reference
         self._rows = structure.flow
-        self._slopes = [(rows.force, rows.angle) for rows in structure.flow]
         # At the newest edge: sideslip and angle of attack, rad, and the unit vector that points
         # down, body axes FRD
         self.angles = [0.0, 0.0]
@@ -109,15 +108,15 @@ class FlowObserver:
         """Return the state at the newest edge; coefficients and sigma have the shape (7, n)."""
         roll, pitch = self.attitude
         beta, alpha = self.angles
-        beta_share, alpha_share = [
-            sigma.item(place) / slope if (slope := abs(coefficients.item(place))) else inf
-            for place in self._slopes
-        ]
+        shares = []
+        for rows in self._rows:
+            slope = abs(coefficients.item(rows.force, rows.angle))
+            shares.append(sigma.item(rows.force, rows.angle) / slope if slope else inf)
         return FlowState(
             beta=beta,
             alpha=alpha,
-            beta_sigma=abs(beta) * beta_share,
-            alpha_sigma=abs(alpha) * alpha_share,
+            beta_sigma=abs(beta) * shares[0],
+            alpha_sigma=abs(alpha) * shares[1],
             roll=roll,
             pitch=pitch,
             airspeed=self._speed,

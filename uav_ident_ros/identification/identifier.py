@@ -668,7 +668,8 @@ class OnlineIdentifier:
             self._shown = flown, speed.widened(self._sigma * speed.scale, flown)
         if self._news:
             if supervision.plausibility:
-                self.plausibility.judge(*self._shown, self._flow.gyro if self._flow else None)
+                gyro = self._flow.gyro if self._flow else None
+                self.plausibility.judge(t_ns * NS, *self._shown, gyro)
             self.supervisor.judge(
                 t_ns * NS,
                 *self._shown,

@@ -154,7 +154,6 @@ class Plausibility:
         self._motion = TickMeans(WINDOW)
         self._inputs: list[tuple[float, FloatArray]] = []
         self._began: float | None = None
-        self._now = -math.inf
         self._looked = -math.inf
         self._found.clear()
         # Text of the first fault of the signals, which prevents learning; empty if none
@@ -183,6 +182,7 @@ class Plausibility:
 
     def judge(
         self,
+        t: float,  # Time of the tick, s
         coefficients: FloatArray,
         sigma: FloatArray,
         gyro: GyroFilters | None = None,  # None without flow angles: rotors fly backwards as well
@@ -200,16 +200,16 @@ class Plausibility:
             )
 
         if turned := turn_finding(self.exchanged, settings.imu):
-            self.note(self._now, turned)
+            self.note(t, turned)
         found, before = find(), self.doubt
         if found is None:
             likely = before and find(share=0.0)
             if likely is None or before is None or likely.name != before.finding.name:
                 self.doubt = None
         elif before is None or found.name != before.finding.name:
-            self.doubt = Doubt(self._now, found)
+            self.doubt = Doubt(t, found)
         elif found.fault or not before.confirmed:
-            confirmed = before.confirmed or self._now - before.since >= ENOUGH
+            confirmed = before.confirmed or t - before.since >= ENOUGH
             self.doubt = Doubt(before.since, found, confirmed and found.fault)
 
     def look(
@@ -219,7 +219,6 @@ class Plausibility:
         raw: FloatArray,  # (j, N) Raw channels
     ) -> None:
         """Check the signals of a tick."""
-        self._now = t
         if self._began is None:
             self._began = self._looked = t
         self._motion.add(t, samples)
