@@ -42,23 +42,16 @@ class Sufficiency:
         excited: tuple[str, ...],  # Labels of the excited inputs
         wanted: float,  # Required t-ratio
     ) -> None:
-        self._names = structure.names
-        self._free = structure.free
-        self._wanted = wanted
-        kinds = (excited, RATES, FLOW_ANGLES)
+        self._names, self._wanted = structure.names, wanted
+        self._rows, self._columns = np.array(structure.free).T
+        labels = np.array(structure.regressors)[self._columns]
+        # Places of the coefficients of each kind in each moment row, and of all control derivatives
         self._kinds = [
-            [
-                k
-                for k, (i, j) in enumerate(self._free)
-                if i == row and structure.regressors[j] in kind
-            ]
+            np.flatnonzero((self._rows == row) & np.isin(labels, kind))
             for row in range(len(ROWS))
-            for kind in kinds
+            for kind in (excited, RATES, FLOW_ANGLES)
         ]
-        self._controls = [
-            k for k, (i, j) in enumerate(self._free)
-            if i < len(ROWS) and structure.regressors[j] in INPUTS
-        ]  # fmt: skip
+        self._controls = np.flatnonzero((self._rows < len(ROWS)) & np.isin(labels, INPUTS)).tolist()
         self._start: tuple[int, FloatArray] | None = None
         self.unknown: tuple[str, ...] = ()
         """Names of the coefficients that are not known yet."""
@@ -69,23 +62,21 @@ class Sufficiency:
 
     def update(self, t_ns: int, coefficients: FloatArray, sigma: FloatArray) -> None:
         """Update the state with the estimate of a tick."""
-        rows, columns = np.array(self._free).T
-        values, sigmas = np.abs(coefficients[rows, columns]), sigma[rows, columns]
-        limits = self._limits(values, sigmas)
+        values, sigmas = (a[self._rows, self._columns] for a in (coefficients, sigma))
+        limits = self._limits(np.abs(values), sigmas)
         unknown = sigmas > limits
         self.unknown = tuple(name for name, u in zip(self._names, unknown, strict=True) if u)
         self.time_left = self._time_left(t_ns, sigmas, limits, unknown)
-        self._record_effects(coefficients, sigma)
+        self._record_effects(values, sigmas)
 
     def _limits(self, values: FloatArray, sigmas: FloatArray) -> FloatArray:
         """Return the sigma below which each coefficient is known; inf for those not required."""
         limits = np.full(len(values), math.inf)
         for kind in self._kinds:
             # only known coefficients set the scale of the others of their kind
-            sure = [k for k in kind if values[k] >= self._wanted * sigmas[k]]
-            scale = max((values[k] for k in sure), default=0.0)
-            for k in kind:
-                limits[k] = max(values[k], scale) / self._wanted
+            sure = values[kind] >= self._wanted * sigmas[kind]
+            scale = values[kind].max(initial=0.0, where=sure)
+            limits[kind] = np.maximum(values[kind], scale) / self._wanted
         return limits
 
     def _time_left(
@@ -106,12 +97,11 @@ class Sufficiency:
             return math.inf
         return float(((needed - information)[unknown] / gained).max() * span)
 
-    def _record_effects(self, coefficients: FloatArray, sigma: FloatArray) -> None:
+    def _record_effects(self, values: FloatArray, sigmas: FloatArray) -> None:
         """Record for each input the control derivative of largest t-ratio, from `SURE` on."""
         surest: dict[str, float] = {}
         for k in self._controls:
-            i, j = self._free[k]
-            value, deviation = float(coefficients[i, j]), float(sigma[i, j])
+            value, deviation = values.item(k), sigmas.item(k)
             name = self._names[k].partition("/")[2]
             ratio = abs(value) / deviation if deviation > 0.0 else 0.0
             if ratio > max(surest.get(name, 0.0), SURE):
