@@ -9,6 +9,8 @@ from uav_ident_ros.identification.settings import ImuSettings
 from uav_ident_ros.identification.structure import FloatArray
 
 _FLU_TO_FRD = np.diag([1.0, -1.0, -1.0])
+# (3, 9) The matrix of each unit vector that multiplies by it as a cross product
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2).reshape(3, 9)
 
 
 def rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
@@ -87,10 +89,7 @@ def rotations(vectors: FloatArray) -> FloatArray:
 
 def cross_matrices(vectors: FloatArray) -> FloatArray:
     """Return the matrices, (..., 3, 3), that multiply by vectors, (..., 3), as a cross product."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    rows = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
-    return np.asarray(rows.reshape(*x.shape, 3, 3))
+    return np.asarray((vectors @ _CROSS).reshape(*vectors.shape, 3))
 
 
 def attitudes(

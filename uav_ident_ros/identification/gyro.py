@@ -62,6 +62,7 @@ _LEVEL = (
 
 _SIGNS = np.array([hypothesis.gyro for hypothesis in HYPOTHESES], dtype=float)[:, None]
 _AHEAD = np.array([hypothesis.ahead for hypothesis in HYPOTHESES], dtype=float)[:, None]
+_ALONG = cross_matrices(np.eye(3)[0])  # Cross product with the longitudinal axis
 _PRIOR = np.eye(6) / GRAVITY_BAND**2
 """Information on attitude, rad^-2, and gyro bias, (rad/s)^-2, from the first sample alone. The
 attitude is as sure as its gravity; a bias as large is found in seconds."""
@@ -111,8 +112,7 @@ class GyroFilters:
         omega = _SIGNS * rates - self._bias[:, None]
         turns = attitudes(steps, omega)
         # Specific force less the centripetal acceleration, in the initial axes: minus gravity
-        along = cross_matrices(np.eye(3)[0])
-        upwards = (turns @ (force + speed * (omega @ along.T))[..., None])[..., 0]
+        upwards = (turns @ (force + speed * (omega @ _ALONG.T))[..., None])[..., 0]
         if self._down is None:
             self._down = -_unit(upwards.mean(axis=1))
         # A launch has another force than gravity, whatever the axes: it counts as evidence alone
@@ -125,7 +125,7 @@ class GyroFilters:
         self._lift.add(steps, omega[0], force, gravity, airspeed)
         # The rotation vector, initial axes, per bias, s
         lever = np.cumsum(turns * steps[:, None, None], axis=1)
-        by_bias = speed[..., None] * (turns @ along) - cross_matrices(upwards) @ lever
+        by_bias = speed[..., None] * (turns @ _ALONG) - cross_matrices(upwards) @ lever
         by_bias = np.einsum("sk,hkij->shij", shares, by_bias)
         by_attitude = np.broadcast_to(GRAVITY * cross_matrices(self._down), by_bias.shape)
         slope = np.concatenate([by_attitude, by_bias], axis=3)

@@ -244,7 +244,7 @@ class Information:
             self._fading.table[moved] = self.sums.table[moved]
             self.sums.table[moved] = 0.0
         stack = RowSamples(np.array([part.signals for part in samples]), samples[0].dt)
-        plain = self._plain
+        plain = ~self._instrumental[:, None] | self.warming_up
         stack.z[plain] = stack.f[plain]
         time, begun = weight * stack.time, self.time > 0.0
         if self._faded.any():
@@ -291,11 +291,6 @@ class Information:
         """Return coefficients of the structure, (R, n), row by row of the problem, (rows, k, 1)."""
         return np.where(self.layout.used, values[self._i, self._j], 0.0)[..., None]
 
-    @property
-    def _plain(self) -> BoolArray:
-        """Flags of the regressors that are their own instruments, (parts, rows)."""
-        return ~self._instrumental[:, None] | self.warming_up
-
     def begin_anew(self, rows: BoolArray) -> None:
         """Clear the information of some rows, (rows,), when an excitation begins."""
         self.sums.table[:, rows] = self._fading.table[:, rows] = 0.0
@@ -306,7 +301,7 @@ class Information:
     def instrumented(self, samples: RowSamples) -> RowSamples:
         """Return samples with the present instruments of the first part."""
         rows = RowSamples(samples.signals.copy(), samples.dt)
-        plain = self._plain[0]
+        plain = ~self._instrumental[0] | self.warming_up
         rows.z[plain] = rows.f[plain]
         return rows
 
