@@ -38,7 +38,6 @@ from uav_ident_ros.identification.structure import (
     OWN_COLUMNS,
     RATE_COLUMNS,
     ROWS,
-    STATE_COLUMNS,
     BoolArray,
     FloatArray,
     Structure,
@@ -299,33 +298,30 @@ class StateVariableFilter:
         self._cutoff = cutoff
         columns, flows = differentiated_columns(structure), len(structure.flow)
         self._rates = [j for j in columns if j < INPUT_COLUMNS.start]
-        self._surfaces = [j - INPUT_COLUMNS.start for j in columns if j >= INPUT_COLUMNS.start]
+        surfaces = columns[len(self._rates) :]
+        self._surfaces = [j - INPUT_COLUMNS.start for j in surfaces]
+        self._rows, self._size = len(ROWS) + flows, structure.size + flows
+        # Columns in which z differs from f: rates, inputs, the flow angles and their turning, and
+        # the author's regressors
+        every = range(self._size)
+        angles = [*every[LAST_COLUMNS], *every[structure.size :]] if flows else []
+        more = every[OWN_COLUMNS.start : structure.size]
+        self._own = [*every[: INPUT_COLUMNS.stop], *angles, *more]
         # Channels: the differentiated signals (rates, with flow angles also ay, az and their
-        # surfaces), f, and the part of z that differs.
-        rows, size = 3 + flows, structure.size + flows
-        self._f = slice(rows + len(self._surfaces), rows + len(self._surfaces) + size)
-        # Of z: rates to inputs, the flow angles and their turning, and the author's regressors
-        angles, turned, more = np.cumsum([INPUT_COLUMNS.stop, flows, flows]).tolist()
-        self._angles, self._turned, self._own = (
-            slice(angles, turned), slice(turned, more), slice(more, more + len(structure.own))
-        )  # fmt: skip
-        self._z = slice(self._f.stop, self._f.stop + self._own.stop)
-        self._filter = BlockFilter(*low_pass(cutoff), h, self._z.stop)
+        # surfaces), then f, and these columns of z.
+        self._first = self._rows + len(surfaces)
+        channels = self._first + self._size + len(self._own)
+        self._filter = BlockFilter(*low_pass(cutoff), h, channels)
         # Of y, f and z side by side: indices of the channels, and then of their derivatives.
-        low, slope = np.arange(2 * self._z.stop).reshape(2, -1)
-        turning = [j - RATE_COLUMNS.start for j in self._rates]
-        f = [*low[self._f], *slope[turning], *slope[rows : self._f.start]]
-        z, own = f.copy(), low[self._z]
-        z[: INPUT_COLUMNS.stop] = own[: INPUT_COLUMNS.stop]
-        z[OWN_COLUMNS.start : structure.size] = own[self._own]
-        if flows:
-            z[LAST_COLUMNS] = own[self._angles]
-            z[structure.size : size] = own[self._turned]
-            z[size : size + len(turning)] = slope[self._z][self._rates]
-        injected = z.copy()
-        injected[size + len(turning) :] = slope[self._z][INPUT_COLUMNS][self._surfaces]
-        self._picked = [np.array([*slope[:rows], *f, *part]) for part in (z, injected)]
-        self._rows = rows
+        low, slope = np.arange(2 * channels).reshape(2, -1)
+        f, of_model = np.split(low[self._first :], [self._size])
+        z, moved = f.copy(), slope[-len(self._own) :]
+        z[self._own] = of_model
+        turned = slope[[j - RATE_COLUMNS.start for j in self._rates]]
+        deflected = slope[self._rows : self._first]
+        known = [*slope[: self._rows], *f, *turned, *deflected, *z, *moved[self._rates]]
+        # The injected signals are in z alone.
+        self._picked = [np.array([*known, *part]) for part in (deflected, moved[surfaces])]
 
     def apply(
         self,
@@ -342,16 +338,15 @@ class StateVariableFilter:
             lines *= factor
             held *= factor
         if block.restarted:
-            self._filter.state = np.zeros((2, self._z.stop))
-            known = slice(0, self._f.start)
+            self._filter.state = np.zeros_like(self._filter.state)
+            known = slice(0, self._first)
             self._filter.state[0, known] = lines[0, known] + held[0, known]
         low, slope = self._filter.apply(lines, held)
         signals = np.concatenate((low, slope), axis=1).take(self._picked[block.injected], axis=1)
         signals = without_negligible(signals)
         found = Regression(signals, self._rows, block.h, block.restarted, block.injected)
         if scale is not None and self._rates:
-            first = self._f.stop - self._f.start
-            found.f[:, first : first + len(self._rates)] *= scale[self._rates]
+            found.f[:, self._size : self._size + len(self._rates)] *= scale[self._rates]
         if self._corrects_lever:
             self._correct_lever(found.y, found.f, low, block)
         return found
@@ -360,63 +355,57 @@ class StateVariableFilter:
         self, block: Block, coefficients: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the channels over the cells: straight lines between edges, and held values."""
-        n, points, model_state = self._structure.size, len(block.x), block.model_state
+        n, first, v = self._structure.size, self._first, block.airspeed
         driven_by = block.excitation if block.injected else block.u
         assert driven_by is not None
-        lines, held = np.zeros((points, self._z.stop)), np.zeros((points - 1, self._z.stop))
-        states = np.concatenate((block.state, model_state))
-        both = self._structure.regressor(states[:, :3], np.zeros(len(INPUTS)))
-        f, z = lines[:, self._f], lines[:, self._z]
-        lines[:, :3] = block.x
-        f[:, :n] = both[:points]
+        states = np.stack((block.state, block.model_state), axis=1)
+        inputs = np.stack((block.u, driven_by), axis=1)
+        # The differentiated signals, and side by side f as measured and z as in the model
+        line, lines = np.zeros((len(states), first)), np.zeros((len(states), 2, self._size))
+        hold, held = np.zeros((len(inputs), first)), np.zeros((len(inputs), 2, self._size))
+        line[:, :3] = block.x
+        lines[..., :n] = self._structure.regressor(states[..., :3], np.zeros(len(INPUTS)))
+        held[..., INPUT_COLUMNS] = inputs
         if n > CONSTANT_COLUMN:
-            f[:, LAST_COLUMNS] = block.force
-        z[:, STATE_COLUMNS] = both[points:, STATE_COLUMNS]
-        if block.airspeed is not None:
+            lines[..., LAST_COLUMNS] = block.force[:, None]
+        if v is not None:
             assert coefficients is not None
-            made, v = coefficients[3:5], block.airspeed
-            force = np.concatenate((block.force, model_state[:, :5] @ made.take(_FLOW_STATE, 1).T))
-            turning = (force + GRAVITY * states[:, 6:]) / v
-            turning += (states[:, :1] * states[:, 4:2:-1] - states[:, 2:0:-1]) * _TURNING
-            lines[:, 3:5] = block.force
-            f[:, n:] = turning[:points]
-            z[:, self._angles], z[:, self._turned] = force[points:], turning[points:]
-            held[:, 5 : self._f.start] = block.u[:, self._surfaces]
+            made = coefficients[3:5]
+            lines[:, 1, LAST_COLUMNS] = block.model_state[:, :5] @ made.take(_FLOW_STATE, 1).T
+            turning = (lines[..., LAST_COLUMNS] + GRAVITY * states[..., 6:]) / v
+            turning += (states[..., :1] * states[..., 4:2:-1] - states[..., 2:0:-1]) * _TURNING
+            lines[..., n:] = turning
             by_inputs = driven_by @ made[:, INPUT_COLUMNS].T
-            held_z = held[:, self._z]
-            held_z[:, self._angles], held_z[:, self._turned] = by_inputs, by_inputs / v
+            held[:, 1, LAST_COLUMNS], held[:, 1, n:] = by_inputs, by_inputs / v
+            line[:, 3:5], hold[:, 5:] = block.force, block.u[:, self._surfaces]
             if block.early is not None:
                 # A surface acts on the accelerometer at once, also by the lever arm.
                 at_once = made[:, INPUT_COLUMNS]
                 if self._corrects_lever:
                     at_once = at_once + self._lever @ coefficients[: len(ROWS), INPUT_COLUMNS]
                 early = block.early @ at_once.T
-                held[:, 3:5] -= early
-                held[:, self._f][:, LAST_COLUMNS] -= early
-                held[:, self._f][:, n:] -= early / v
-        held[:, self._f][:, INPUT_COLUMNS] = block.u
-        held[:, self._z][:, INPUT_COLUMNS] = driven_by
+                hold[:, 3:5] -= early
+                held[:, 0, LAST_COLUMNS] -= early
+                held[:, 0, n:] -= early / v
         if self._structure.own:
-            f[:, OWN_COLUMNS.start : n] = 0.0
-            for at, x, u in (
-                (held[:, self._f][:, OWN_COLUMNS.start : n], block.x, block.u),
-                (held[:, self._z][:, self._own], model_state[:, :3], driven_by),
-            ):
-                at[:] = self._structure.own_values(0.5 * (x[1:] + x[:-1]), u)
-        return lines, held
+            lines[..., OWN_COLUMNS.start : n] = 0.0
+            middle = 0.5 * (states[1:, :, :3] + states[:-1, :, :3])
+            held[..., OWN_COLUMNS.start : n] = self._structure.own_values(middle, inputs)
+        return self._joined(line, lines), self._joined(hold, held)
+
+    def _joined(self, known: FloatArray, both: FloatArray) -> FloatArray:
+        """Return the channels of the differentiated signals, and of f and z, (..., 2, size)."""
+        return np.concatenate((known, both[..., 0, :], both[..., 1, self._own]), axis=-1)
 
     def _factor(self, scale: FloatArray) -> FloatArray:
         """Return the channels' factors to the reference airspeed; forces stand for angles."""
-        factor = np.ones(self._z.stop)
-        f, z = factor[self._f], factor[self._z]
-        kept = CONSTANT_COLUMN + 1 if self._structure.has_flow else len(scale)
-        f[:kept] = scale[:kept]
-        z[: INPUT_COLUMNS.stop] = scale[: INPUT_COLUMNS.stop]
-        f[OWN_COLUMNS.start : len(scale)] = z[self._own] = scale[OWN_COLUMNS]
+        n, known, both = len(scale), np.ones(self._first), np.ones((2, self._size))
+        both[:, :n] = scale
         if self._structure.has_flow:
-            factor[5 : self._f.start] = scale[INPUT_COLUMNS][self._surfaces]
-            f[len(scale) :] = z[self._turned] = scale[LAST_COLUMNS][0]
-        return factor
+            both[:, LAST_COLUMNS] = 1.0
+            both[:, n:] = scale[LAST_COLUMNS][0]
+            known[5:] = scale[INPUT_COLUMNS][self._surfaces]
+        return self._joined(known, both)
 
     def _correct_lever(self, y: FloatArray, f: FloatArray, low: FloatArray, block: Block) -> None:
         """Move the forces from the accelerometer to the centre of gravity."""
