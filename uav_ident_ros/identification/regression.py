@@ -306,7 +306,7 @@ class StateVariableFilter:
         every = range(self._size)
         angles = [*every[LAST_COLUMNS], *every[structure.size :]] if flows else []
         more = every[OWN_COLUMNS.start : structure.size]
-        self._own = [*every[: INPUT_COLUMNS.stop], *angles, *more]
+        self._own = np.array([*every[: INPUT_COLUMNS.stop], *angles, *more])
         # Channels: the differentiated signals (rates, with flow angles also ay, az and their
         # surfaces), then f, and these columns of z.
         self._first = self._rows + len(surfaces)
@@ -355,28 +355,29 @@ class StateVariableFilter:
         self, block: Block, coefficients: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the channels over the cells: straight lines between edges, and held values."""
-        n, first, v = self._structure.size, self._first, block.airspeed
+        n, m, v = self._structure.size, len(block.u), block.airspeed
         driven_by = block.excitation if block.injected else block.u
         assert driven_by is not None
-        states = np.stack((block.state, block.model_state), axis=1)
-        inputs = np.stack((block.u, driven_by), axis=1)
-        # The differentiated signals, and side by side f as measured and z as in the model
-        line, lines = np.zeros((len(states), first)), np.zeros((len(states), 2, self._size))
-        hold, held = np.zeros((len(inputs), first)), np.zeros((len(inputs), 2, self._size))
+        # As measured, for f, and of the model, for z
+        states = np.array((block.state, block.model_state))
+        inputs = np.array((block.u, driven_by))
+        # The differentiated signals, then f and z
+        line, lines = np.zeros((m + 1, self._first)), np.zeros((2, m + 1, self._size))
+        hold, held = np.zeros((m, self._first)), np.zeros((2, m, self._size))
         line[:, :3] = block.x
         lines[..., :n] = self._structure.regressor(states[..., :3], np.zeros(len(INPUTS)))
         held[..., INPUT_COLUMNS] = inputs
         if n > CONSTANT_COLUMN:
-            lines[..., LAST_COLUMNS] = block.force[:, None]
+            lines[..., LAST_COLUMNS] = block.force
         if v is not None:
             assert coefficients is not None
             made = coefficients[3:5]
-            lines[:, 1, LAST_COLUMNS] = block.model_state[:, :5] @ made.take(_FLOW_STATE, 1).T
+            lines[1, :, LAST_COLUMNS] = block.model_state[:, :5] @ made.take(_FLOW_STATE, 1).T
             turning = (lines[..., LAST_COLUMNS] + GRAVITY * states[..., 6:]) / v
             turning += (states[..., :1] * states[..., 4:2:-1] - states[..., 2:0:-1]) * _TURNING
             lines[..., n:] = turning
             by_inputs = driven_by @ made[:, INPUT_COLUMNS].T
-            held[:, 1, LAST_COLUMNS], held[:, 1, n:] = by_inputs, by_inputs / v
+            held[1, :, LAST_COLUMNS], held[1, :, n:] = by_inputs, by_inputs / v
             line[:, 3:5], hold[:, 5:] = block.force, block.u[:, self._surfaces]
             if block.early is not None:
                 # A surface acts on the accelerometer at once, also by the lever arm.
@@ -385,17 +386,17 @@ class StateVariableFilter:
                     at_once = at_once + self._lever @ coefficients[: len(ROWS), INPUT_COLUMNS]
                 early = block.early @ at_once.T
                 hold[:, 3:5] -= early
-                held[:, 0, LAST_COLUMNS] -= early
-                held[:, 0, n:] -= early / v
+                held[0, :, LAST_COLUMNS] -= early
+                held[0, :, n:] -= early / v
         if self._structure.own:
             lines[..., OWN_COLUMNS.start : n] = 0.0
-            middle = 0.5 * (states[1:, :, :3] + states[:-1, :, :3])
+            middle = 0.5 * (states[:, 1:, :3] + states[:, :-1, :3])
             held[..., OWN_COLUMNS.start : n] = self._structure.own_values(middle, inputs)
         return self._joined(line, lines), self._joined(hold, held)
 
     def _joined(self, known: FloatArray, both: FloatArray) -> FloatArray:
-        """Return the channels of the differentiated signals, and of f and z, (..., 2, size)."""
-        return np.concatenate((known, both[..., 0, :], both[..., 1, self._own]), axis=-1)
+        """Return the channels of the differentiated signals, and of f and z, (2, ..., size)."""
+        return np.concatenate((known, both[0], both[1].take(self._own, axis=-1)), axis=-1)
 
     def _factor(self, scale: FloatArray) -> FloatArray:
         """Return the channels' factors to the reference airspeed; forces stand for angles."""
