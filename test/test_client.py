@@ -168,56 +168,53 @@ def test_without_forces_the_force_terms_and_the_constant_are_omitted() -> None:
 # --- the model with angle of attack and sideslip -------------------------------------------------
 
 
-def flying() -> AttitudeModel:
-    return model(FLIGHT)
-
-
+FLYING = model(FLIGHT)
 STATE = np.array([0.3, -0.2, 0.1, 0.05, -0.04])
 CONTROL = np.array([0.05, -0.1, 0.08, 0.2])
 
 
 def test_acceleration_with_flow_angles_is_that_of_the_rows() -> None:
-    expected = flight_equations(flying().values, np.array([*STATE, 0.0, 0.0]), CONTROL, 18.0)[:3]
-    np.testing.assert_allclose(flying().acceleration(STATE, CONTROL), expected, atol=1e-12)
+    expected = flight_equations(FLYING.values, np.array([*STATE, 0.0, 0.0]), CONTROL, 18.0)[:3]
+    np.testing.assert_allclose(FLYING.acceleration(STATE, CONTROL), expected, atol=1e-12)
     # by default the flow angles are those of the message
     at_message = np.array([*STATE[:3], FLOW.beta, FLOW.alpha])
     np.testing.assert_array_equal(
-        flying().acceleration(STATE[:3], CONTROL), flying().acceleration(at_message, CONTROL)
+        FLYING.acceleration(STATE[:3], CONTROL), FLYING.acceleration(at_message, CONTROL)
     )
     many = np.stack([STATE, 2.0 * STATE])
     np.testing.assert_allclose(
-        flying().acceleration(many, CONTROL)[1], flying().acceleration(many[1], CONTROL)
+        FLYING.acceleration(many, CONTROL)[1], FLYING.acceleration(many[1], CONTROL)
     )
 
 
 def test_prediction_with_flow_angles_follows_from_the_message_alone() -> None:
     start = np.array([*STATE, FLOW.roll, FLOW.pitch])
-    solution = flown(flying().values, start, CONTROL, FLOW.airspeed, 2.0)
-    np.testing.assert_allclose(flying().predict(STATE, CONTROL, 2.0), solution[:5], atol=1e-6)
-    three = flying().predict(STATE[:3], CONTROL, 0.5)
-    whole = flying().predict(np.array([*STATE[:3], FLOW.beta, FLOW.alpha]), CONTROL, 0.5)
+    solution = flown(FLYING.values, start, CONTROL, FLOW.airspeed, 2.0)
+    np.testing.assert_allclose(FLYING.predict(STATE, CONTROL, 2.0), solution[:5], atol=1e-6)
+    three = FLYING.predict(STATE[:3], CONTROL, 0.5)
+    whole = FLYING.predict(np.array([*STATE[:3], FLOW.beta, FLOW.alpha]), CONTROL, 0.5)
     np.testing.assert_array_equal(three, whole[:3])
-    many = flying().predict(np.stack([STATE, 0.5 * STATE]), CONTROL, 0.5)
-    np.testing.assert_allclose(many[0], flying().predict(STATE, CONTROL, 0.5), atol=1e-12)
+    many = FLYING.predict(np.stack([STATE, 0.5 * STATE]), CONTROL, 0.5)
+    np.testing.assert_allclose(many[0], FLYING.predict(STATE, CONTROL, 0.5), atol=1e-12)
 
 
 def test_linearisation_with_flow_angles_is_the_derivative() -> None:
-    at, a = np.array([*STATE, FLOW.roll, FLOW.pitch, *CONTROL]), flying().values
+    at, a = np.array([*STATE, FLOW.roll, FLOW.pitch, *CONTROL]), FLYING.values
     expected = slope(lambda x: flight_equations(a, x[:7], x[7:], FLOW.airspeed), at)[:6]
-    found = np.hstack(flying().linearize(STATE, CONTROL))
+    found = np.hstack(FLYING.linearize(STATE, CONTROL))
     np.testing.assert_allclose(found, np.delete(expected, 6, axis=1), atol=1e-6)
 
 
 def test_a_model_from_a_file_needs_flow_angles_for_prediction(tmp_path: Any) -> None:
     path = tmp_path / "coefficients.yaml"
-    values = flying().values
+    values = FLYING.values
     save_coefficients(CoefficientSet("flight_dynamics", values, 0.01 * np.abs(values)), path)
     read = Coefficients.from_file(path)
     assert read.structure is FLIGHT
     np.testing.assert_array_equal(read.values, values)
     from_file = CoefficientSource(Fallback.NOMINAL, read).model(START)
     np.testing.assert_array_equal(
-        from_file.acceleration(STATE, CONTROL), flying().acceleration(STATE, CONTROL)
+        from_file.acceleration(STATE, CONTROL), FLYING.acceleration(STATE, CONTROL)
     )
     for requested in (
         lambda: from_file.acceleration(STATE[:3], CONTROL),

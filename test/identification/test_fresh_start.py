@@ -10,6 +10,7 @@ import pytest
 from light_aircraft import TRUTH
 from verdict_flights import SENSORS, SHORT, Series, carried
 
+from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.estimators import Estimator, make_estimator
 from uav_ident_ros.identification.estimators.model_error import known_inputs
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -36,12 +37,16 @@ def test_after_a_launch_the_coefficients_are_usable_and_accurate() -> None:
     assert identifier.supervisor.changed == []  # no change is reported
 
 
-def test_known_coefficients_are_never_learned_anew() -> None:
-    flown = flying.light_measured(45.0)
+def learned(flown: Measurements) -> tuple[list[Estimate], bool]:
+    """Return the estimates of a flight, and whether its learning began anew."""
     identifier = OnlineIdentifier(flying.settings(flown))
     first = identifier.estimator
-    flying.run(identifier, flying.messages(flown))
-    assert identifier.estimator is first
+    estimates = flying.run(identifier, flying.messages(flown))
+    return estimates, identifier.estimator is not first
+
+
+def test_known_coefficients_are_never_learned_anew() -> None:
+    assert not learned(flying.light_measured(45.0))[1]
 
 
 BIAS = (0.05, -0.05, 0.035)
@@ -51,10 +56,8 @@ BIAS = (0.05, -0.05, 0.035)
 def test_after_a_gyro_bias_is_found_the_effects_of_the_flow_angles_are_learned_anew() -> None:
     """The attitude was off by a radian: `pdot/beta` is 35 % off at first, with a sigma of 11 %."""
     flown = flying.light_measured(75.0, bank=20.0, sensors={"gyro_bias": BIAS})
-    identifier = OnlineIdentifier(flying.settings(flown))
-    first = identifier.estimator
-    estimates = flying.run(identifier, flying.messages(flown))
-    assert identifier.estimator is not first
+    estimates, anew = learned(flown)
+    assert anew
     assert np.mean([e.usable for e in flying.since(estimates, 30.0, 75.0)]) > 0.9
     last = estimates[-1]
     for name in ("pdot/beta", "rdot/beta", "rdot/r"):
@@ -68,17 +71,14 @@ def test_after_a_gyro_bias_is_found_the_delay_is_judged_anew() -> None:
     trial = Series("", 1, SHORT).trial("light_aircraft", "", bank=20.0, wind=0.3, sensors=sensors)
     flown = trial.fly()
     assert isinstance(flown, Measurements)
-    estimates = flying.run(OnlineIdentifier(flying.settings(flown)), flying.messages(flown))
+    estimates, _ = learned(flown)
     assert np.mean([e.usable for e in flying.since(estimates, 40.0, 80.0)]) > 0.9
 
 
 def test_after_a_gyro_bias_is_found_what_is_known_stays_until_it_is_known_again() -> None:
     excited = Segment("multisine", 2.0, 20.0, flying.PEAKS, seed=1)
     flown = flying.light_measured(70.0, bank=20.0, segments=(excited,), sensors={"gyro_bias": BIAS})
-    identifier = OnlineIdentifier(flying.settings(flown))
-    first = identifier.estimator
-    flying.run(identifier, flying.messages(flown))
-    assert identifier.estimator is first
+    assert not learned(flown)[1]
 
 
 def test_a_lateness_that_may_be_noise_is_no_reason_to_begin_anew() -> None:

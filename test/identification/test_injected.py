@@ -2,6 +2,7 @@
 """Injected signals on the grid of the inputs: the same delay, the same lag, exact means."""
 
 import random
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.model import ParallelModel
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.samples import EXCITATION, Drop
+from uav_ident_ros.identification.samples import EXCITATION, Drop, SampleBuffer
 from uav_ident_ros.identification.sampling import Block, Sampler, join
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import (
@@ -32,9 +33,9 @@ INPUTS_NS = np.arange(0, 4000, 20) * MS
 TIMEOUT_NS = 250 * MS  # docs/excitation.md, for controllers
 
 
-def inject(target: Sampler, stamps: FloatArray, values: FloatArray) -> None:
+def fill(buffer: SampleBuffer, stamps: FloatArray, values: FloatArray) -> None:
     for t, v in zip(stamps, values, strict=True):
-        target.injected.append(int(t), tuple(v))
+        buffer.append(int(t), tuple(v))
 
 
 def cells(target: Sampler) -> tuple[FloatArray, FloatArray, FloatArray | None]:
@@ -50,13 +51,11 @@ def cells(target: Sampler) -> tuple[FloatArray, FloatArray, FloatArray | None]:
 @pytest.mark.parametrize("time_constant", [0.0, 0.06])
 def test_excitation_is_delayed_lagged_and_averaged_as_the_inputs(time_constant: float) -> None:
     """Inputs that consist of the injected signals alone equal them, cell by cell."""
-    rng = np.random.default_rng(0)
-    values = rng.normal(size=(len(INPUTS_NS), 4))
+    values = np.random.default_rng(0).normal(size=(len(INPUTS_NS), 4))
     target = sampler(actuators__delay=0.043, actuators__time_constant=time_constant)
     add_rates(target, RATES_NS)
-    for t, v in zip(INPUTS_NS, values, strict=True):
-        target.raw_inputs.append(int(t), tuple(v))
-    inject(target, INPUTS_NS, values)
+    for buffer in (target.raw_inputs, target.injected):
+        fill(buffer, INPUTS_NS, values)
     _, u, excitation = cells(target)
     assert excitation is not None and len(u) > 300
     np.testing.assert_allclose(excitation, u, atol=1e-12)
@@ -66,13 +65,9 @@ def test_excitation_is_none_before_its_first_message_and_zero_after_timeout() ->
     target = sampler()
     add_rates(target, RATES_NS)
     add_inputs(target, INPUTS_NS)
-    assert cells(target)[2] is None
-
-    target = sampler()
-    add_rates(target, RATES_NS)
-    add_inputs(target, INPUTS_NS)
+    assert cells(deepcopy(target))[2] is None
     known_ns = np.array([1000, 1050, 2000]) * MS
-    inject(target, known_ns, np.full((3, 4), 0.1))
+    fill(target.injected, known_ns, np.full((3, 4), 0.1))
     edges, _, excitation = cells(target)
     assert excitation is not None
     begin = edges[:-1]

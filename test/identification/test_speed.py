@@ -119,11 +119,13 @@ def test_the_scaling_is_limited_to_three_times_the_reference(speed: float, ratio
     assert scaling.scale[STRUCTURE.index("pdot/da")] == pytest.approx(ratio**2)
 
 
-def filtered(samples: FloatArray, interval: float = 0.1) -> tuple[FloatArray, FloatArray]:
-    """Airspeed and its sigma after each of some samples, m/s, an interval, s, apart."""
-    found, out = AirspeedFilter(), []
+def filtered(
+    samples: FloatArray, found: AirspeedFilter | None = None, start_ns: int = START_NS
+) -> tuple[FloatArray, FloatArray]:
+    """Airspeed and its sigma after each of some samples, m/s, a tenth of a second apart."""
+    found, out = found or AirspeedFilter(), []
     for k, sample in enumerate(samples.tolist()):
-        found.add(START_NS + round(1e9 * interval * k), sample)
+        found.add(start_ns + k * 10**8, sample)
         out.append((found.airspeed, found.sigma))
     return np.array(out).T
 
@@ -169,23 +171,16 @@ def test_a_step_of_the_sensor_and_its_return_are_followed_at_once() -> None:
 
 def test_after_a_silence_the_airspeed_is_the_new_sample() -> None:
     true, samples = random_walk(0.05, 0.5)
-    found = AirspeedFilter()
-    for k, sample in enumerate(samples[:1000].tolist()):
-        found.add(START_NS + k * 10**8, sample)
+    filtered(samples[:1000], found := AirspeedFilter())
     found.add(START_NS + 120 * 10**9, true[1000] + 1.5)
     assert found.airspeed == pytest.approx(true[1000] + 1.5, abs=0.02)
 
 
 def test_a_new_time_base_begins_with_its_first_sample_and_the_known_noise() -> None:
     true, samples = random_walk(0.05, 0.5)
-    found = AirspeedFilter()
-    for k, sample in enumerate(samples[:1000].tolist()):
-        found.add(START_NS + k * 10**8, sample)
+    filtered(samples[:1000], found := AirspeedFilter())
     found.restart()
-    errors = []
-    for k, sample in enumerate(samples[1000:1100].tolist()):
-        found.add(k * 10**8 + 1, sample)
-        errors.append(found.airspeed - true[1000 + k])
+    errors = filtered(samples[1000:1100], found, 1)[0] - true[1000:1100]
     assert found.airspeed != samples[1099]
     assert errors[0] == pytest.approx(samples[1000] - true[1000])
     assert np.std(errors[10:]) < 0.25  # not the 0.5 of the samples
