@@ -181,17 +181,6 @@ class Player(Guest):
         self._flush()
         return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
 
-    def play_in_step(self, messages: Sequence[Message]) -> None:
-        """Discard earlier outputs and play at the node's speed, without loss of messages.
-
-        Messages that continue from the last output are in step from the start: /clock half a second
-        ahead of the messages would abort a run of excitation.
-        """
-        goes_on = 0 <= messages[0].log_ns - self.outputs.newest_ns < START_UP_NS
-        self.outputs.clear()
-        start_up_ns = 0 if goes_on else START_UP_NS
-        self.play(messages, speed=math.inf, in_step=True, start_up_ns=start_up_ns)
-
     def _keep_in_step(self, t_ns: int, start_ns: int, awaited_ns: int) -> None:
         """Spin, and wait for the output of `ANSWER_WITHIN_NS` before `t_ns`."""
         self._executor.spin_once(timeout_sec=0.0)

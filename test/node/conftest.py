@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 from programs import StartNode
-from recordings import Fly, Recording
+from recordings import Fly, Player, Recording
 
-from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess, own_domain
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings for the node tests, and the offline replay of the same messages."""
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,20 +15,37 @@ from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import jazzy_types
 from uav_ident_ros.messages.types import header_ns, import_type
 from uav_ident_ros.offline import NOT_USABLE, USABLE
-from uav_ident_ros.player import Outputs, Player
+from uav_ident_ros.player import START_UP_NS, Outputs
+from uav_ident_ros.player import Player as PlainPlayer
 from uav_ident_ros.process import NodeProcess
 
 RATES_TOPIC, ACTUATORS_TOPIC = "/imu/data", "/actuators"
 TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC)
 NODE = "/identifier"
 
-Fly = Callable[..., tuple[NodeProcess, Player]]
-
 Spoil = Callable[[Any], Any]
 """Function that alters a message, or returns the bytes to send instead."""
 
 TickValues = dict[int, tuple[float, ...]]
 """All published values of a tick, by its stamp in ns."""
+
+
+class Player(PlainPlayer):
+    """A player at the speed of its node."""
+
+    def play_in_step(self, messages: Sequence[Message]) -> None:
+        """Discard earlier outputs and play without loss of messages.
+
+        Messages that continue from the last output are in step from the start: /clock half a second
+        ahead of the messages would abort a run of excitation.
+        """
+        goes_on = 0 <= messages[0].log_ns - self.outputs.newest_ns < START_UP_NS
+        self.outputs.clear()
+        start_up_ns = 0 if goes_on else START_UP_NS
+        self.play(messages, speed=math.inf, in_step=True, start_up_ns=start_up_ns)
+
+
+Fly = Callable[..., tuple[NodeProcess, Player]]
 
 
 @dataclass(frozen=True)

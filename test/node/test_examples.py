@@ -6,8 +6,8 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from recordings import (
     RATES_TOPIC,
     Fly,
+    Player,
     Recording,
     estimates,
     part,
@@ -33,7 +34,6 @@ from sensor_msgs.msg import Imu
 
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.offline import NOT_USABLE, USABLE
-from uav_ident_ros.player import Player
 from uav_ident_ros.process import own_domain
 from uav_ident_ros.simulation import closed_loop
 from uav_ident_ros.simulation.preparation import prepare
@@ -51,6 +51,19 @@ def run(name: str, *arguments: str) -> str:
     return done.stdout
 
 
+@contextmanager
+def running(
+    name: str, *arguments: str, stderr: int | None = None, **environment: str
+) -> Iterator[subprocess.Popen[str]]:
+    """Run an example beside the test, which ends it."""
+    own = {**os.environ, **environment}
+    with subprocess.Popen(command(name, *arguments), stderr=stderr, text=True, env=own) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
 def test_every_example_is_listed() -> None:
     listed = re.findall(r"^\| `([\w.]+)` \|", (EXAMPLES / "README.md").read_text(), re.MULTILINE)
     shipped = [path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".yaml")]
@@ -64,11 +77,7 @@ def test_an_example_ends_on_ctrl_c_without_a_traceback(name: str) -> None:
     nominal = ROOT / "config" / "closed_loop" / "c172p_coefficients.yaml"
     controls = name in ("indi.py", "inversion.py", "lqr.py")
     arguments = ("--ros-args", "-p", f"nominal_file:={nominal}") if controls else ()
-    environment = {**os.environ, "MPLBACKEND": "agg"}
-    process = subprocess.Popen(
-        command(name, *arguments), stderr=subprocess.PIPE, text=True, env=environment
-    )
-    try:
+    with running(name, *arguments, stderr=subprocess.PIPE, MPLBACKEND="agg") as process:
         node = name.removesuffix(".py")
         with closing(Guest("observer")) as guest:
             nodes = guest.node.get_node_names
@@ -76,8 +85,6 @@ def test_an_example_ends_on_ctrl_c_without_a_traceback(name: str) -> None:
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=PATIENCE)
         assert (process.returncode, errors) == (0, "")
-    finally:
-        process.kill()
     if controls:
         assert "no coefficients file is named: give the path" in python(*command(name)[1:]).stderr
 
@@ -93,8 +100,7 @@ def test_live_plot_and_read_coefficients_follow_a_running_node(fly: Fly, tmp_pat
     flight = recording("multisine", 60.0)
     _, player = fly(flight)
     picture = tmp_path / "live.png"
-    plot = subprocess.Popen(command("live_plot.py", "--save", str(picture), "--seconds", "3"))
-    try:
+    with running("live_plot.py", "--save", str(picture), "--seconds", "3") as plot:
         topic = "/identifier/coefficients_named"
         player.wait_until(lambda: player.node.count_subscribers(topic) == 2, "live_plot")
         # a counted subscriber may not be connected: play until the plot has enough messages
@@ -102,9 +108,6 @@ def test_live_plot_and_read_coefficients_follow_a_running_node(fly: Fly, tmp_pat
             if plot.poll() is None:
                 player.play_in_step(part(flight, second, second + 1))
         assert plot.wait(PATIENCE) == 0
-    finally:
-        plot.kill()
-        plot.wait()
     assert picture.read_bytes().startswith(b"\x89PNG")
     # latched: a late subscriber receives the last message
     lines = run("read_coefficients.py", "--once").splitlines()
@@ -144,17 +147,13 @@ def test_a_message_type_of_the_author_gives_the_estimates_of_an_imu(tmp_path: Pa
     own = parameter_file(tmp_path / "own.yaml", imu__type=TWIST)
     files = ("--params-file", str(flight.parameter_file), "--params-file", str(own))
     arguments = ("identifier", "--ros-args", *files)
-    environment = {**os.environ, "ROS_HOME": str(tmp_path)}
-    node = subprocess.Popen(command("own_message.py", *arguments), env=environment)
-    try:
+    with running("own_message.py", *arguments, ROS_HOME=str(tmp_path)) as node:
         with closing(Player(twists.classes, clock=False)) as player:
             player.wait_for_node()
             player.play_in_step(twists.messages)
             found = published(player.outputs)
         node.send_signal(signal.SIGINT)
         assert node.wait(PATIENCE) == 0
-    finally:
-        node.kill()
     expected = replayed(with_rates(flight, flight.types[RATES_TOPIC], without_force), tmp_path)
     assert len(expected) > 50 and found == expected
     bag = written(tmp_path / "twists", twists.types, twists.messages)

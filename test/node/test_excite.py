@@ -12,6 +12,7 @@ from programs import PATIENCE
 from recordings import (
     NODE,
     Fly,
+    Player,
     Recording,
     call,
     change,
@@ -34,7 +35,6 @@ from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, Settings
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.node.excite import Excite, slowest_ticks
-from uav_ident_ros.player import Player
 
 MS = 1_000_000
 PARAMETERS = {

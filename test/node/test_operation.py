@@ -10,13 +10,13 @@ import pytest
 import rclpy
 import recordings
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from recordings import Player
 from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.bags import writing
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.structure import ROWS
 from uav_ident_ros.node.identifier_node import MOST_WAITING, IdentifierNode
-from uav_ident_ros.player import Player
 
 
 @pytest.fixture(scope="module")

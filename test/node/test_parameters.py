@@ -15,14 +15,13 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from recordings import Fly, call, published, recording, replayed
+from recordings import Fly, Player, call, published, recording, replayed
 from repository import ROOT
 
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.settings import Setting, Settings, declarations
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.node.parameters import PARAMETER_TYPES, declare, follow_changes, settings_of
-from uav_ident_ros.player import Player
 
 RCLPY_REASON = re.compile("Wrong parameter type, expected|Static parameter cannot be undeclared")
 

@@ -11,6 +11,7 @@ from excerpts import excerpt
 from recordings import (
     NODE,
     Fly,
+    Player,
     Recording,
     part,
     published,
@@ -26,7 +27,6 @@ from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.offline.ticks import Ticks
-from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess
 
 SPEEDS = (1.0, 0.3, 0.1)

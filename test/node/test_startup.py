@@ -64,7 +64,7 @@ os.kill(child, signal.SIGKILL)
 print("done")
 """
 
-REFUSALS = """
+CALLS = """
 import contextlib, importlib, io, json, sys
 found = []
 for module, arguments in json.load(sys.stdin):
@@ -75,6 +75,13 @@ for module, arguments in json.load(sys.stdin):
     found.append((status, errors.getvalue(), printed.getvalue()))
 json.dump(found, sys.stdout)
 """
+
+
+def called(*cases: tuple[str, list[str]]) -> list[tuple[int, str, str]]:
+    """Call programs with arguments; return status, errors and output of each."""
+    run = python("-c", CALLS, input=json.dumps(cases), timeout=PATIENCE, check=True)
+    assert run.stderr == "", "rcl prints nothing by itself"
+    return json.loads(run.stdout)
 
 
 def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
@@ -103,11 +110,9 @@ def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -
     dumped.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
     arguments = ["--ros-args", "--params-file", str(dumped), "-r", "__ns:=/drone1"]
     cases.append((own, arguments, "has nothing for node '/drone1/identifier'"))
-    given = json.dumps([case[:2] for case in cases])
-    run = python("-c", REFUSALS, input=given, timeout=PATIENCE, check=True)
-    assert run.stderr == "", "rcl prints nothing by itself"
+    found = called(*(case[:2] for case in cases))
     for (module, arguments, wanted), (status, words_printed, printed) in zip(
-        cases, json.loads(run.stdout), strict=True
+        cases, found, strict=True
     ):
         assert (status, printed) == (2, ""), arguments
         name = {own: "identifier", "simulation.plant_node": "simulated_plant"}
@@ -133,32 +138,19 @@ def test_a_misspelt_parameter_of_another_node_is_named() -> None:
 
 
 HELPS = {
-    "node": "actuators.mixing.de = [1.0, 0.0, 0.0, 0.0]",
+    "node.__main__": "actuators.mixing.de = [1.0, 0.0, 0.0, 0.0]",
     "simulation.plant_node": 'aircraft = "c172p"',
     "simulation.rate_reference": "airspeed = 53.0",
     "controller_example": 'mode = "adaptive"',
 }
 
-HELP = """
-import runpy, sys
-for name in sys.argv[1:]:
-    print(f"HELP {name}", flush=True)
-    sys.argv[1:] = ["--help"]
-    try:
-        runpy.run_module(f"uav_ident_ros.{name}", run_name="__main__")
-    except SystemExit as ended:
-        assert not ended.code, ended
-"""
-
 
 def test_help_is_printed_and_nothing_runs() -> None:
-    run = python("-c", HELP, *HELPS, timeout=PATIENCE)
-    assert (run.returncode, run.stderr) == (0, "")
-    texts = dict(part.split("\n", 1) for part in run.stdout.split("HELP ")[1:])
-    assert texts.keys() == HELPS.keys()
-    for name, reports in HELPS.items():
-        assert texts[name].startswith("usage: ") and reports in texts[name], name
-    assert all(f"\n  {setting.name} = " in texts["node"] for setting in declarations())
+    found = called(*((module, ["--help"]) for module in HELPS))
+    for module, (status, errors, text) in zip(HELPS, found, strict=True):
+        assert (status, errors) == (0, ""), module
+        assert text.startswith("usage: ") and HELPS[module] in text, module
+    assert all(f"\n  {setting.name} = " in found[0][2] for setting in declarations())
 
 
 def test_repeated_signals_end_the_node_cleanly(start_node: StartNode) -> None:

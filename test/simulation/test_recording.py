@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from excerpts import decoded
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosReliability
 
@@ -63,13 +64,8 @@ def test_a_measured_airspeed_is_recorded_and_enabled_in_the_parameters(tmp_path:
     write_bag(measured, tmp_path / "bag")
     settings = Settings.from_values(parameters(measured))
     assert settings.airspeed.type == TWIST and settings.airspeed.reference == 20.0
-    with AnyReader([tmp_path / "bag"]) as reader:
-        (connection,) = (c for c in reader.connections if c.topic == "/airspeed")
-        rows = [
-            (t, reader.deserialize(raw, connection.msgtype))
-            for _, t, raw in reader.messages([connection])
-        ]
-    assert connection.msgtype == TWIST
+    rows = decoded(tmp_path / "bag")["/airspeed"]
+    assert {m.__msgtype__ for _, m in rows} == {TWIST}
     assert [t for t, _ in rows] == measured.airspeed_log_ns.tolist()
     assert [header_ns(m) for _, m in rows] == measured.airspeed_t_ns.tolist()
     assert [m.twist.linear.x for _, m in rows] == measured.airspeed.tolist()
