@@ -79,16 +79,6 @@ def test_a_message_becomes_named_values() -> None:
     assert read.fit is not None and read.fit.tolist() == [90.0, 80.0, 85.0]
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
-def test_every_structure_is_recognised_by_its_coefficient_names(name: str) -> None:
-    structure = STRUCTURES[name]
-    entries = {name: float(k) for k, name in enumerate(structure.names)}
-    read = Coefficients.from_message(message(structure, **entries))
-    assert read.structure is structure
-    np.testing.assert_array_equal(read.values, matrix(structure, entries))
-    assert read.flow == (FLOW if structure.has_flow else None)
-
-
 def put(field: str, index: int | str, value: Any) -> Any:
     """Return a function that sets an entry of a message's field, by index or name."""
 

@@ -2,7 +2,6 @@
 """Damaged bags: one line reports the loss, and all other messages are used."""
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -378,11 +377,3 @@ def test_messages_that_cannot_be_decoded_are_counted(tmp_path: Path) -> None:
     assert min(dropped) >= 1
     assert sum(dropped) == 8 + 2
     assert summary["ticks"] > 50
-
-
-def test_a_path_that_is_no_file_or_folder_is_refused(tmp_path: Path, capsys: Capture) -> None:
-    os.mkfifo(tmp_path / "pipe.mcap")
-    for path in (tmp_path / "pipe.mcap", Path("/dev/zero")):
-        assert replayed(path, tmp_path / "out") == (NO_RESULT, {})
-        (line,) = capsys.readouterr().err.splitlines()
-        assert f"'{path}' is neither a file on a disk nor a folder" in line

@@ -321,16 +321,6 @@ def test_a_delay_replaces_a_reversal_only_if_it_explains_the_response(explains: 
     assert (measured.sigma > 100.0).all()  # no other conclusion
 
 
-def test_a_jammed_surface_is_dead_despite_the_jerk_of_the_jam() -> None:
-    measured, rng = Effectiveness(), np.random.default_rng(0)
-    for k in range(400):
-        made = np.full(3, 10.0 * np.sin(0.05 * k))
-        jams = 300 <= k < 315  # at rest afterwards
-        answered = made if k < 300 else np.full(3, 40.0 * jams)
-        measured.update(answered + rng.standard_normal(3), made, 0.01)
-    assert measured.dead.all()
-
-
 def test_the_sign_of_a_reversed_input_is_changed_on_all_axes() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
     chosen = AxisChoice(source, changed(coefficients(), "rdot/da", -2.0, 0.1), LIMITS)
