@@ -281,7 +281,7 @@ def test_a_block_with_huge_errors_counts_as_one_block() -> None:
 
 
 def test_rates_that_disagree_on_the_delay_increase_its_sigma() -> None:
-    """Each bowl is alike: roll and yaw hold 0.1 s, pitch 0.06 s, and the mean's sigma is a third."""
+    """Bowls are alike: roll and yaw hold 0.1 s, pitch 0.06 s, and sigma is a third of that."""
     pitch = [1]
     errors, other = (curve(best, noise=1e-6) for best in (0.1, 0.06))
     errors[..., pitch] = other[..., pitch]
