@@ -11,6 +11,7 @@ from typing import Any
 import cases
 import numpy as np
 import random_flights
+from imperfections import IMPERFECTIONS
 from light_aircraft import LightFlight
 from numpy.typing import ArrayLike
 
@@ -43,6 +44,11 @@ CLIP = 0.4
 
 WINDY: Mapping[str, float] = {"light_aircraft": 0.3, "c172p": 3, "T37": 3}
 """Aircraft of the classes that differ in the Imu or the trim alone, and their wind as in `fly`."""
+
+IMPERFECT_AIRCRAFT = (
+    ("light_aircraft", 0.3), ("ultra_stick_25e", 1), ("c172p", 3), ("T37", 3), ("J3Cub", 1),
+)  # fmt: skip
+"""Aircraft of the class ``imperfect``, which take turns, and their wind."""
 
 LONG, SHORT = 1.0, 0.8
 """Relative length of the flights; `SHORT` still includes the failure and the glitch."""
@@ -335,6 +341,22 @@ def _biased(series: Series) -> Iterator[Trial]:
             yield series.trial(aircraft, label, bank=20.0, wind=wind, sensors=sensors)
 
 
+def imperfect(series: Series, aircraft: str, wind: float, label: str) -> Trial:
+    """Return the trial of an aircraft with one of `IMPERFECTIONS`."""
+    values = dict(IMPERFECTIONS[label])
+    values["sensors"] = replace(SENSORS, **values.get("sensors", {}))
+    if "spoil" in values:
+        values["spoil"] = partial(values["spoil"], np.random.default_rng([series.seed, 13]))
+    return series.trial(aircraft, label, bank=20.0, wind=wind, **values)
+
+
+def _imperfect(series: Series) -> Iterator[Trial]:
+    """Excitation, with sensors, links and actuators as they are; each on one aircraft a seed."""
+    for k, label in enumerate(IMPERFECTIONS):
+        aircraft, wind = IMPERFECT_AIRCRAFT[(k + series.seed) % len(IMPERFECT_AIRCRAFT)]
+        yield imperfect(series, aircraft, wind, label)
+
+
 def _weak(series: Series) -> Iterator[Trial]:
     """Noisy sensors at 25 Hz, little excitation."""
     for aircraft, wind, scale in (
@@ -623,9 +645,9 @@ def _recorded(series: Series) -> Iterator[Trial]:
 CLASSES = {
     make.__name__.removeprefix("_"): make
     for make in (
-        _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _weak, _glitch, _clean,
-        _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _launched, _blocked,
-        _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed, _recorded,
+        _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _imperfect, _weak,
+        _glitch, _clean, _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _launched,
+        _blocked, _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""

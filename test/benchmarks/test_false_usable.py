@@ -11,6 +11,7 @@ pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 import false_usable
 import verdict_flights
+from imperfections import IMPERFECTIONS, _behind
 from light_aircraft import TRUTH
 
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -43,6 +44,43 @@ def test_every_class_has_flights_and_a_failure_changes_the_true_derivative() -> 
     flight = partial(reversed_.fly, duration=80.0)().flight
     assert verdict_flights.truth(flight, 70.0)["rdot/dr"] == pytest.approx(-4.19, rel=0.01)
     assert verdict_flights.truth(flight, 76.0)["rdot/dr"] == pytest.approx(4.19, rel=0.01)
+
+
+def test_every_imperfection_changes_the_signals_or_the_surfaces() -> None:
+    clean = verdict_flights.fly("light_aircraft", 1, duration=16.0, excitation=((0.0, 1e3),))
+    commands = np.outer([0.005, 0.06], [1.0, -1.0, 1.0, 1.0])  # small and large
+    for label, values in IMPERFECTIONS.items():
+        if "spoil" in values:
+            spoiled = values["spoil"](np.random.default_rng(1), clean)
+            assert any(
+                not np.array_equal(getattr(spoiled, name), getattr(clean, name))
+                for name in ("imu_t_ns", "rates", "specific_force", "actuator_t_ns", "actuators")
+            ), label
+        elif "actuators" in values:
+            reached = [values["actuators"](np.zeros(4), commanded) for commanded in commands]
+            assert not np.array_equal(np.array(reached)[:, :3], commands[:, :3]), label
+            assert np.array_equal(np.array(reached)[:, 3], commands[:, 3]), label
+        else:
+            assert replace(verdict_flights.SENSORS, **values["sensors"]) != verdict_flights.SENSORS
+
+
+def test_each_imperfection_meets_each_aircraft_in_five_seeds() -> None:
+    trials = verdict_flights.trials(["imperfect"], range(1, 6))
+    aircraft = [name for name, _ in verdict_flights.IMPERFECT_AIRCRAFT]
+    assert {trial.name for trial in trials} == {
+        f"{name}, {label}" for name in aircraft for label in IMPERFECTIONS
+    }
+
+
+def test_surfaces_behind_a_play_stay_while_the_record_has_the_commands() -> None:
+    play = partial(_behind, 1.0)
+    flown = verdict_flights.fly(
+        "light_aircraft", 1, duration=4.0, excitation=((0.0, 1e3),), actuators=play
+    )
+    surfaces = flown.flight.extra["surfaces"]
+    assert np.ptp(surfaces[:, :3], axis=0).max() < 1e-4
+    assert np.ptp(surfaces[:, 3]) > 0.0
+    assert np.ptp(flown.actuators, axis=0).min() > 0.02
 
 
 def test_a_clean_flight_is_usable_without_wrong_derivatives() -> None:

@@ -51,6 +51,11 @@ class Sample:
     surfaces: FloatArray  # (4,) True elevator, rudder, aileron (rad) and throttle
 
 
+def obeyed(before: FloatArray, commanded: FloatArray) -> FloatArray:
+    """Return the position that perfect actuators take after `before` with a command."""
+    return commanded
+
+
 @dataclass(frozen=True)
 class Plan:
     """Definition of a recorded flight; each kind of vehicle adds fields."""
@@ -62,6 +67,9 @@ class Plan:
     delay: float = 0.0  # Transport delay from recorded command to surface or motor, s
     seed: int = 0  # Seed of the disturbances
     time_constant: float = 0.0  # First-order lag of the surfaces or motors, s
+    # Position of the actuators after the last one with a recorded command, before delay and lag:
+    # for backlash, dead bands and linkages
+    actuators: Callable[[FloatArray, FloatArray], FloatArray] = obeyed
 
     def __post_init__(self) -> None:
         check_positive(self, "duration", "rate", "actuator_rate")
@@ -193,12 +201,14 @@ class Live:
         excitation = sample_inputs(plan.segments, times)
         rows: list[Any] = []
         commands: list[FloatArray] = []
+        reached = np.empty(0)
         for step in range(count):
             if step % self._substeps == 0:
                 self._check()
                 k = len(commands)
                 commands.append(commanded(float(times[k]), excitation[k]))
-                self._send(commands[-1])
+                reached = plan.actuators(reached if k else commands[0], commands[-1])
+                self._send(reached)
             row = self._advance_step()
             if step % every == 0:
                 rows.append(row)
