@@ -125,11 +125,14 @@ def test_a_turn_needs_inputs_that_move(still: tuple[int, ...]) -> None:
     assert turned(0.0, 0.0, still=still).turned() is None
 
 
+@pytest.mark.parametrize("size", [1.0, 6.0])
 @pytest.mark.parametrize("place", [(1, 2), (1, 1), (2, 0)])
-def test_an_aircraft_that_is_not_symmetric_is_not_turned(place: tuple[int, int]) -> None:
+def test_an_aircraft_that_is_not_symmetric_is_not_turned(
+    place: tuple[int, int], size: float
+) -> None:
     """Ailerons or rudder that pitch it, or an elevator that yaws it, alone."""
     effects = EFFECT.copy()
-    effects[place] = 6.0
+    effects[place] = size
     assert turned(0.0, 0.0, effects).turned() is None
 
 

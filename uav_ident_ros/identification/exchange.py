@@ -95,8 +95,8 @@ class ExchangedInputs:
         An angle that is not significant is 0. None if neither is, or before `START_TIME`.
 
         An Imu turned by the rotation vector -t shows the effect e of an input as ``e - t x e``:
-        four effects that a symmetric aircraft does not have. They must agree on t, for no aircraft
-        is quite symmetric.
+        four effects that a symmetric aircraft does not have. They must agree on t, better than with
+        one of them alone, for no aircraft is quite symmetric.
         """
         sigma = self._sigma[[0, 2, 1, 1], [1, 1, 0, 2]]
         least = float(sigma.min())
@@ -114,7 +114,9 @@ class ExchangedInputs:
         turn = np.linalg.solve(information, slope.T @ shown)
         spread = least * np.sqrt(diagonal(np.linalg.inv(information)))
         significant = np.abs(turn) > SURE * spread
-        agree = np.square(shown - slope @ turn).sum() < OUTLYING * least**2
+        squares, misfit = np.square(shown), np.square(shown - slope @ turn).sum()
+        # One of the effects alone, as of unequal ailerons, must not explain as much.
+        agree = misfit < min(OUTLYING * least**2, float(squares.sum() - squares.max()))
         return np.where(significant, turn, 0.0) if significant.any() and agree else None
 
     def _solve(self) -> None:
