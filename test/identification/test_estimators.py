@@ -6,6 +6,7 @@ import pytest
 from flying import AMPLITUDES, DOMINANT, identified, linear_names, measured, since, worst_error
 
 from uav_ident_ros.identification.estimators.information import Information
+from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.prior import start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.rigid_body import product_coefficients
@@ -56,6 +57,20 @@ def test_gusts_bias_least_squares_but_not_the_instrumental_variables() -> None:
     by_instruments = error("instrumental_variable")
     assert by_instruments < 0.1
     assert error("least_squares") > 2.0 * by_instruments
+
+
+@BOTH
+def test_a_model_error_of_the_input_is_one_of_its_whole_row(estimator: str) -> None:
+    """Damping makes up for an input that is late: both are too small, and so is all of the row."""
+    identifier, (*_, last) = identified(measured(20.0), structure=STRUCTURE, estimator=estimator)
+    regression = identifier.estimator
+    assert isinstance(regression, RecursiveRegression)
+    regression._error.share = np.array([0.2, 0.0, 0.0])
+    regression._since_sigma = np.inf
+    regression._solve()
+    wider = np.sqrt(np.maximum(regression.sigma**2 - last.sigma**2, 0.0))
+    expected = np.abs(last.coefficients) * np.array([[0.2], [0.0], [0.0]])
+    np.testing.assert_allclose(wider, expected, rtol=0.01, atol=0.01)
 
 
 @BOTH

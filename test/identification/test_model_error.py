@@ -39,17 +39,21 @@ def rolled(
     seconds: float = 60.0,
     seed: int = 1,
     dead: float = 0.0,
+    play: float = 0.0,
 ) -> RowSamples:
     """Samples of a roll by an aileron with a travel, rad, for 0.1 commanded, and a servo lag, s.
 
-    Of each command a band `dead` to either side of zero, rad, is missing.
+    Of each command a band `dead` to either side of zero, rad, is missing. The aileron follows
+    behind a `play`, rad from stop to stop.
     """
     rng = np.random.default_rng(seed)
     t = DT * np.arange(round(seconds / DT))
     u = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
     p, pdot = np.zeros(len(t) + 1), np.zeros(len(t))
-    gusts, reached = noise * rng.normal(size=len(t)), 0.0
+    gusts, reached, behind = noise * rng.normal(size=len(t)), 0.0, 0.0
     for k, command in enumerate(u):
+        behind = float(np.clip(behind, command - 0.5 * play, command + 0.5 * play))
+        command = behind
         keep = np.exp(-DT / lag) if lag else 0.0
         moved = np.clip(command, -travel, travel) - np.clip(command, -dead, dead)
         reached = keep * reached + (1.0 - keep) * moved
@@ -183,6 +187,20 @@ def test_an_aileron_without_lag_or_saturation_has_no_model_error(noise: float, s
     assert error_model.relative_error(KNOWN_ROWS)[0] < 0.06 * noise + 0.02
 
 
+@pytest.mark.parametrize("play", [0.02, 0.04])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_backlash_is_a_model_error_of_its_own(play: float, seed: int) -> None:
+    """It is found before it is significant; as lateness it would look smaller."""
+    error_model, healthy = ModelError(LAYOUT), ModelError(LAYOUT)
+    shares(rolled(play=play, noise=1.0, seed=seed), error_model)
+    shares(rolled(noise=1.0, seed=seed), healthy)
+    assert error_model.lost[0] > max(5.0 * play, 1.3 * float(error_model._late[0]))
+    assert error_model.lost[1:].tolist() == [0.0, 0.0]
+    assert healthy.lost[0] < 0.03
+    error_model.forget(0)
+    assert not error_model.lost.any()
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_late_aileron_counts_before_it_is_significant(seed: int) -> None:
     """The noise hides a lag of 0.12 s for a minute."""
@@ -256,7 +274,7 @@ def test_an_earliness_is_refuted_by_blocks_that_would_show_it(
         none - [0.0, found],
         none,
         sigma * one,
-        one,
+        np.ones(rows),
         none,
         np.zeros(rows),
         np.ones(rows) > 0,

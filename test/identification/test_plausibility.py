@@ -460,12 +460,12 @@ def test_with_a_known_sum_the_lag_error_counts_to_second_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay", "rise", "share"), [(0.009, 9.0, 0.0), (0.015, 9.0, 0.05), (0.015, 3.0, 0.0)]
+    ("delay", "rise", "share"), [(0.009, 9.0, 0.0), (0.0125, 9.0, 0.075), (0.0125, 3.0, 0.0)]
 )
-def test_of_a_possible_delay_error_what_exceeds_a_sigma_counts(
+def test_of_a_possible_delay_error_the_square_beyond_its_variance_counts(
     delay: float, rise: float, share: float
 ) -> None:
-    """Below two sigma the error is not sure, and the row not denied."""
+    """Below two sigma the error is not sure. A row is denied where its share is a quarter."""
     structure = STRUCTURES["flight_dynamics"]
     values, roll = np.zeros((5, structure.size)), structure.index("pdot/da")
     values[roll], values[structure.index("pdot/p")] = 60.0, -10.0

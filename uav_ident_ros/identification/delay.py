@@ -138,8 +138,9 @@ class DelayEstimate:
         return off if wrong else 0.0
 
     def beyond(self, delay: float) -> float:
-        """Return the part of a delay's error that exceeds a sure estimate's sigma, s."""
-        return max(abs(self.delay - delay) - self.sigma, 0.0) if self.sure else 0.0
+        """Return the rms of a delay's error that a sure estimate shows beyond its own error, s."""
+        square = (self.delay - delay) ** 2 - self.sigma**2
+        return math.sqrt(max(square, 0.0)) if self.sure else 0.0
 
     def excess(self, lag: float) -> float:
         """Return the rms part of a servo lag in use that may be too much, s.

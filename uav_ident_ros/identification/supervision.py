@@ -376,15 +376,15 @@ def _incomplete(row: int, share: float, t_ratio: float, *, multirotor: bool = Fa
     """Return the reason against a row if its model error is too large; else empty.
 
     The error is the share of the input's effect that is late, early or missing. The limit is
-    1 / `t_ratio`, as for sigma and for the bias by wrong settings: 0.25 by default. Lags, delays
-    and limits of travel that halve a control derivative give 0.33 to 0.9, a delay of 25 ms up to
-    0.2, a configured lag of 0.1 s that does not exist 0.4 and more. Correct settings give 0 with
-    excitation throughout, with little of it the noise of the lateness.
+    1 / `t_ratio`, as for sigma and for the bias by wrong settings: 0.25 by default. Lags, delays,
+    backlash and limits of travel that halve a control derivative give 0.33 to 0.9, a delay of 25 ms
+    up to 0.2, a configured lag of 0.1 s that does not exist 0.4 and more. Correct settings give 0
+    with excitation throughout, with little of it the noise of the lateness.
     """
     if share * t_ratio <= 1.0:
         return ""
     surface, move = MAIN_INPUTS[ROWS[row]], "the surfaces"
-    causes = "a servo lag, a delay, a dead band, a limit of travel or of servo speed"
+    causes = "a servo lag, a delay, backlash, a dead band, a limit of travel or of servo speed"
     if multirotor:
         causes, move = "a motor lag, a delay, a limit of thrust", surface
         if ROWS[row] == "rdot":

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model errors: lateness and saturation of the inputs, and an Imu above the centre of gravity.
+"""Model errors: lateness, saturation and backlash of inputs, an Imu above the centre of gravity.
 
-A servo lag or a limit of travel that is not configured leaves little in the residual, because
-damping absorbs most of it. Each row is therefore solved once more with additional regressors,
+A servo lag, a limit of travel or a play that is not configured leaves little in the residual,
+because damping absorbs most of it. Each row is therefore solved once more with additional
+regressors,
 
-    y = A f + c1 u|u| + c2 du/dt - c3 d2u/dt2,
+    y = A f + c1 u|u| + c2 du/dt - c3 d2u/dt2 + c4 (u - b(u)),
 
-with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16).
-Against the input's effect, c1 is saturation, c2 lateness, and c3 an effect that falls with
-frequency, as by a servo lag in whose place a delay is in use. The control derivative is then off by
-about as much. A c2 that adds to the effect is an input that acts early: a configured lag or delay
-is too long, and all derivatives may be off by several times.
+with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16), and
+b(u) the same behind a play. Against the input's effect, c1 is saturation, c2 lateness, c3 an effect
+that falls with frequency, as by a servo lag in whose place a delay is in use, and c4 backlash. The
+row's derivatives are then off by about as much. A c2 that adds to the effect is an input that acts
+early: a configured lag or delay is too long, and all derivatives may be off by several times.
 
 An accelerometer h above the centre of gravity measures `h pdot` as side force. In the row of ay,
 with p in the place of u, c2 is h.
@@ -26,7 +27,14 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.estimators.information import POWERLESS
 from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
-from uav_ident_ros.identification.scales import BLOCKS, DOUBTLESS, INDEPENDENT_TIME, ROUNDING, SURE
+from uav_ident_ros.identification.scales import (
+    BLOCKS,
+    DOUBTLESS,
+    INDEPENDENT_TIME,
+    MEMORY,
+    ROUNDING,
+    SURE,
+)
 from uav_ident_ros.identification.structure import (
     MAIN_DERIVATIVES,
     ROWS,
@@ -40,14 +48,19 @@ factor of two hardly matters: of 30 flights with inputs 80 or 120 ms later than 
 rows are denied. Without it 12 of their 90 rows stay usable; ten times as much hides a lag of 80 ms.
 """
 
-EXTRA = 3
-"""Number of additional regressors. The first and the last are tested one at a time: all three need
-longer than a cold start has."""
+EXTRA = 4
+"""Number of additional regressors. They are tested in pairs: all need longer than a cold start has.
+"""
+
+PLAY = 1.0 / SURE
+"""Half of the play that is looked for, relative to the input's rms. With half or with 1.5 times as
+much, plays of 0.7 to 2 deg are found alike on five aircraft."""
 
 _YAW = ROWS.index("rdot")
 
-_SATURATION, _LATENESS, _ATTENUATION = range(EXTRA)
-_BESIDE_LATENESS = (_SATURATION, _ATTENUATION)
+_SATURATION, _LATENESS, _ATTENUATION, _BACKLASH = range(EXTRA)
+_LATE = (_SATURATION, _LATENESS), (_ATTENUATION, _LATENESS)
+_PAIRS = (*_LATE, (_SATURATION, _BACKLASH))  # A backlash looks late: beside lateness noise hides it
 
 
 def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
@@ -70,13 +83,13 @@ def known_inputs(
 
 
 class Losses(NamedTuple):
-    """Losses of the inputs' effect by one of several regressors, and by lateness beside it."""
+    """Losses of the inputs' effect by pairs of additional regressors, the second one late."""
 
-    found: FloatArray  # (rows, others, 2) Relative to the effect, rms
-    sure: FloatArray  # (rows, others, 2) The same, 0 where not significant
-    sigma: FloatArray  # (rows, others) Standard deviation of the lateness
-    rate: FloatArray  # (rows, others) Rms rate of the input relative to its rms, rad/s
-    size: FloatArray  # (rows, others, 2) Coefficients, 0 where not significant
+    found: FloatArray  # (rows, pairs, 2) Relative to the effect, rms
+    sure: FloatArray  # (rows, pairs, 2) The same, 0 where not significant
+    sigma: FloatArray  # (rows, pairs) Standard deviation of the second
+    rate: FloatArray  # (rows,) Rms rate of the input relative to its rms, rad/s
+    size: FloatArray  # (rows, pairs, 2) Coefficients, 0 where not significant
     # (rows,) Lateness less the most that feedback may cause, by the solution of smallest sigma
     late: FloatArray
     # (rows,) Whether the input moved in more blocks than it makes regressors, as a scatter needs
@@ -96,20 +109,31 @@ class ModelError:
         self._zy, self._squares = np.zeros((rows, BLOCKS, width)), np.zeros((rows, BLOCKS))
         self._blocks = 0  # Closed so far
         self._settled = 0  # Of these, the newest, with instruments of a known model
+        # Of the inputs, in regressors and instruments, (2, rows): running mean and mean square, and
+        # if the samples continue, the last one behind a play
+        self._mean, self._square = np.zeros((2, 2, rows))
+        self._behind: FloatArray | None = None
         # Largest loss by saturation, lateness or attenuation, relative to the input's effect, rms,
         # at most 1; 0 where not significant
         self.share: FloatArray = np.zeros(len(ROWS))
+        # Loss by a backlash beyond its own standard deviation, rms, significant or not
+        self._backlash: FloatArray = np.zeros(len(ROWS))
         # Earliness of each row, its standard deviation, s, and the input's rate as in `Losses`
         self._early: FloatArray = np.zeros(len(ROWS))
         self._early_sigma: FloatArray = np.full(len(ROWS), np.inf)
         self._rate: FloatArray = np.zeros(len(ROWS))
-        # The same as `share` by lateness, significant or not, beyond what feedback may cause
+        # Loss by lateness, significant or not, beyond what feedback may cause
         self._late: FloatArray = np.zeros(len(ROWS))
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
 
+    @property
+    def lost(self) -> FloatArray:
+        """Loss that sigma contains, relative to the input's effect, (3,)."""
+        return np.maximum(self.share, self._backlash)
+
     def relative_error(self, known: BoolArray, rotors: bool = False) -> FloatArray:
-        """Return the most likely error of each row, (3,): `share`, lateness or earliness.
+        """Return the most likely error of each row, (3,): `lost`, lateness or earliness.
 
         Lateness counts before it is significant: noise must not hide a servo that is too slow for
         its commands. Delay and lag are one setting for all inputs, and an error of it makes all of
@@ -125,7 +149,7 @@ class ModelError:
         if (told & (limit < shared) & (self._early < limit)).any():
             shared = 0.0
         early = np.maximum(own * self._rate, shared * self._rate.max())
-        return np.maximum(np.maximum(self.share, self._late), np.minimum(early, 1.0))
+        return np.maximum(np.maximum(self.lost, self._late), np.minimum(early, 1.0))
 
     @property
     def _is_early(self) -> BoolArray:
@@ -141,7 +165,8 @@ class ModelError:
     def forget(self, row: int) -> None:
         """Clear the sums and errors of a row whose derivatives are learned anew."""
         self.begin_anew(row)
-        self.share[row] = self._early[row] = self._late[row] = 0.0
+        for errors in (self.share, self._early, self._late, self._backlash):
+            errors[row] = 0.0
         self._early_sigma[row] = np.inf
 
     def add(
@@ -162,6 +187,7 @@ class ModelError:
         """Add samples; they are evaluated in blocks of `INDEPENDENT_TIME`."""
         if restarted or not weight.any():
             self._gathered.clear()
+            self._behind = None
         if not weight.any():
             return
         self._gathered.append((samples, samples.dt * weight))
@@ -174,7 +200,7 @@ class ModelError:
         weight = np.repeat(weights, [part.count for part in parts], axis=0).T
         weight = weight[[0, 1, 2, 0][rows]]  # the row of ay is excited by roll
         weight[:, 0] = 0.0  # no derivative of the first sample
-        f, z = (self._extended(part[rows], block.dt) for part in (block.f, block.z))
+        f, z = self._extended(np.stack((block.f[rows], block.z[rows])), block.dt)
         weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
         self._zf[:, at], self._zz[:, at] = weighted @ f, weighted @ z
         self._zy[:, at] = (weighted @ block.y[rows, :, None])[:, :, 0]
@@ -184,25 +210,40 @@ class ModelError:
         self._look(np.append(ratio, roll_ratio)[rows], effect)
 
     def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
-        """Return regressors (rows, m, k), or instruments, extended by those of each row's u."""
-        u = regressors[range(len(self._entries)), :, self._entries]
+        """Return regressors and instruments, (2, rows, m, k), extended by those of each row's u."""
+        u = regressors[:, range(len(self._entries)), :, self._entries].swapaxes(0, 1)
         extended = np.zeros((*u.shape, regressors.shape[-1] + EXTRA))
         extended[..., :-EXTRA] = regressors
         extra = extended[..., -EXTRA:]
         extra[..., _SATURATION] = u * np.abs(u)
-        extra[:, 1:, _LATENESS] = (u[:, 1:] - u[:, :-1]) / dt
-        extra[:, 1:-1, _ATTENUATION] = (2.0 * u[:, 1:-1] - u[:, 2:] - u[:, :-2]) / dt**2
+        extra[..., 1:, _LATENESS] = (u[..., 1:] - u[..., :-1]) / dt
+        extra[..., 1:-1, _ATTENUATION] = (2.0 * u[..., 1:-1] - u[..., 2:] - u[..., :-2]) / dt**2
+        extra[..., _BACKLASH] = self._beyond_play(u)
         return extended
+
+    def _beyond_play(self, u: FloatArray) -> FloatArray:
+        """Return inputs (2, rows, m) less the same behind a play (the play operator)."""
+        share = 1.0 / min(self._blocks + 1.0, MEMORY / INDEPENDENT_TIME)
+        self._mean += share * (u.mean(axis=-1) - self._mean)
+        self._square += share * (np.square(u).mean(axis=-1) - self._square)
+        half = PLAY * np.sqrt(np.maximum(self._square - self._mean**2, 0.0))
+        behind = u[..., 0] if self._behind is None else self._behind
+        beyond = np.empty_like(u)
+        for k in range(u.shape[-1]):
+            behind = np.clip(behind, u[..., k] - half, u[..., k] + half)
+            beyond[..., k] = u[..., k] - behind
+        self._behind = behind
+        return beyond
 
     def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
         """Evaluate all blocks, and earliness in those after the start, if these are enough.
 
         With a leaking model gusts are in the instruments, and the inputs appear to precede them.
         """
-        count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - 1
+        count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - EXTRA + 2
         if count <= k:
             return  # too few blocks for a scatter
-        losses = self._find(slice(count), _BESIDE_LATENESS, ratio, effect)
+        losses = self._find(slice(count), _PAIRS, ratio, effect)
         moments = losses.informative[: len(ROWS)]
         late = np.clip(losses.late[: len(ROWS)], 0.0, 1.0)
         self._late = np.where(moments, late, self._late)
@@ -213,9 +254,13 @@ class ModelError:
         taken = losses.sure[: len(ROWS)].reshape(len(ROWS), -1)[:, :3].copy()
         taken[:, _SATURATION] = np.abs(taken[:, _SATURATION])
         self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
+        found, sigma = losses.found[: len(ROWS), -1, 1], losses.sigma[: len(ROWS), -1]
+        beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
+        beyond = np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)
+        self._backlash = np.where(moments, beyond, self._backlash)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
-            losses = self._find(newest, (_SATURATION,), ratio, effect)
+            losses = self._find(newest, _LATE[:1], ratio, effect)
         self._follow_earliness(losses)
 
     def _follow_earliness(self, losses: Losses) -> None:
@@ -225,7 +270,7 @@ class ModelError:
         blocks after the start would clear what all together had shown.
         """
         rows = slice(len(ROWS))
-        rate = losses.rate[rows, 0]
+        rate = losses.rate[rows]
         found, sigma = -losses.found[rows, 0, 1] / rate, losses.sigma[rows, 0] / rate
         refuted = (self._early > SURE * sigma) & (self._early > 2.0 * found)
         taken = losses.informative[rows] & (
@@ -238,19 +283,19 @@ class ModelError:
     def _find(
         self,
         blocks: NDArray[np.intp] | slice,
-        others: Sequence[int],
+        pairs: Sequence[tuple[int, int]],
         ratio: FloatArray,
         effect: FloatArray,
     ) -> Losses:
-        """Return the losses by the additional regressors: one of `others`, and lateness.
+        """Return the losses by pairs of the additional regressors.
 
         They are solved in units of rms and tested by their sigma.
         """
         zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
         count, width = zy.shape[1:]
         own = width - EXTRA
-        kept = [[*range(own), own + other, own + _LATENESS] for other in others]
-        pick = np.eye(width)[kept]  # (others, k, width)
+        kept = [[*range(own), own + first, own + second] for first, second in pairs]
+        pick = np.eye(width)[kept]  # (pairs, k, width)
         total_zf, total_zz, total_zy = (np.add.reduce(sums, axis=1) for sums in (zf, zz, zy))
         scale, instruments, gain, linear = _solved(total_zf, total_zz, total_zy, pick)
         gain, k = gain[..., -2:, :], pick.shape[1]
@@ -268,9 +313,9 @@ class ModelError:
         informative = effective > made
         lost = np.maximum(k / (count - k), made / np.where(informative, effective - made, 1.0))
         variance = (1.0 + lost[:, None, None]) * np.add.reduce(scatter**2, axis=2)
-        # Feedback looks like lateness and attenuation, not like saturation.
+        # Feedback looks like lateness, attenuation and backlash, not like saturation.
         answers = ratio * np.add.reduce(self._squares[:, blocks], axis=1)
-        late = np.array([(other != _SATURATION, True) for other in others])
+        late = np.array(pairs) != _SATURATION
         spread = np.add.reduce(gain @ instruments * gain, axis=-1)
         answered = answers[:, None, None] * late * spread
         variance += answered
@@ -285,9 +330,9 @@ class ModelError:
         # Saturation and attenuation leave different noise in the lateness beside them.
         main_effect = np.maximum(np.abs(whole[..., 0]), POWERLESS)
         bias, error = (np.sqrt(v[..., 1]) / main_effect for v in (answered, variance))
-        better = range(len(zf)), error.argmin(axis=1)
+        better = range(len(zf)), error[:, : len(_LATE)].argmin(axis=1)
         late = (away[..., 1] - bias)[better]
-        rate = scale[range(len(zf)), :, self._entries] / scale[..., -1]
+        rate = scale[range(len(zf)), 0, self._entries] / scale[:, 0, -1]
         return Losses(away, np.where(sure, away, 0.0), error, rate, size, late, informative)
 
 
@@ -295,12 +340,12 @@ def _solved(
     zf: FloatArray,  # zf, zz: (rows, w, w), zy: (rows, w) Sums of all blocks
     zz: FloatArray,
     zy: FloatArray,
-    pick: FloatArray,  # (others, k, w) Selects the regressors that are solved for
+    pick: FloatArray,  # (pairs, k, w) Selects the regressors that are solved for
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the solution of rows with some of their regressors.
 
-    Returned are the scale, one over rms and root of time, (rows, others, k); the scaled
-    ``sum z z^T`` and the gain from the scaled ``sum z y``, (rows, others, k, k); and the
+    Returned are the scale, one over rms and root of time, (rows, pairs, k); the scaled
+    ``sum z z^T`` and the gain from the scaled ``sum z y``, (rows, pairs, k, k); and the
     coefficients.
     """
     slope, instruments = (pick @ sums[:, None] @ pick.swapaxes(-1, -2) for sums in (zf, zz))

@@ -146,9 +146,8 @@ class RecursiveRegression(Estimator):
         # In quiet flight the samples contain only gusts and an autopilot's answers.
         looked = weight * self.learning
         self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
-        known_now = known_inputs(self.coefficients, self.sigma, self._error.share)
+        known_now = known_inputs(self.coefficients, self.sigma, self._error.lost)
         self.model_error = self._error.relative_error(known_now, self._rotors)
-        self.sure_error = self._error.share
         # Where gusts alone make the aircraft roll, their side force looks like a height.
         self.height = self._error.height if known_now[0] else 0.0
         weight = self._row_weights(weight)
@@ -157,6 +156,7 @@ class RecursiveRegression(Estimator):
         self._follow_changes(samples, outlying)
         if self._reference and reference_has_learned:
             self._reject_priors(self._reference.estimator)
+        self.sure_error = self._error.lost
         self._since_sigma += samples.time
         self._solve(0.5 * samples.dt)
 
@@ -167,7 +167,7 @@ class RecursiveRegression(Estimator):
         instrument for the whole excitation. Least squares over its first seconds is better.
         """
         self._ever_injected = True
-        known = known_inputs(self.coefficients, self.sigma, self._error.share)
+        known = known_inputs(self.coefficients, self.sigma, self._error.lost)
         self.information.begin_anew(self._row_weights(1.0 * known) == 0.0)
         self._since_sigma = np.inf
 
@@ -252,9 +252,9 @@ class RecursiveRegression(Estimator):
             distance *= np.maximum(self._white_share, 1.0 - self._white_share)
         sigma = np.hypot(np.maximum(sigma, white_sigma), distance)
         sigma = np.hypot(sigma, own - solution.values[0])
-        main = MAIN_DERIVATIVES
-        sigma[main] = np.hypot(sigma[main], self._error.share * values[main])
-        sigma = np.hypot(sigma, MODEL_ERROR * values)
+        share = np.full(len(values), MODEL_ERROR)
+        share[: len(ROWS)] = np.hypot(MODEL_ERROR, self._error.lost)
+        sigma = np.hypot(sigma, share[:, None] * values)
         return np.where(self.start.free, sigma, self.start.sigma)
 
     # -- rejection of priors ----------------------------------------------------------------
