@@ -7,8 +7,9 @@ Rotated by the gyro into one attitude, specific force f and gravity g change the
 
 An aircraft flies along its longitudinal axis, v = (V, 0, 0), but for the flow angles. For each
 hypothesis an extended Kalman filter, in information form, estimates the direction of gravity and
-the bias of the gyro. Their innovations decide (multiple model estimation; Bar-Shalom, Li and
-Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 11.6).
+the bias of the gyro. In turns their innovations decide (multiple model estimation; Bar-Shalom, Li
+and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 11.6), in
+straight flight the lift.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ HYPOTHESES = (
 )
 """The configured axes, then those that are compared with them. The mirror image, in which roll and
 yaw rate are reversed, fits as well as each of them: so all wrong signs are covered but these two
-together."""
+together, which the side force shows."""
 
 _BACKWARDS = HYPOTHESES[1]
 _LEVEL = (
@@ -207,7 +208,7 @@ class GyroFilters:
         axes, sigma = _LEVEL[int(lift > side)], max(side, lift)
         if side > 0.0 and lift > 0.0:  # Independent, and both wrong
             axes, sigma = _BACKWARDS, (side + lift) / math.sqrt(2.0)
-        evidence = "turned by the gyro, the aircraft flies against its lift or side force otherwise"
+        evidence = "as configured, lift or side force drives the flow, which it opposes in reality"
         return WrongAxes(axes, sigma, evidence) if sigma > sure else None
 
 
