@@ -321,6 +321,17 @@ def test_a_delay_replaces_a_reversal_only_if_it_explains_the_response(explains: 
     assert (measured.sigma > 100.0).all()  # no other conclusion
 
 
+def test_a_jerk_beyond_the_inputs_effect_does_not_reverse_it() -> None:
+    """As of a breaking surface: it counts as the answer of a reversed input, small beside noise."""
+    measured, rng = Effectiveness(), np.random.default_rng(0)
+    made = np.full(3, 0.3)
+    for k in range(330):
+        answered = made + rng.standard_normal(3) if k < 300 else np.full(3, -20.0)
+        measured.update(answered, made, 0.01)
+    assert not measured.reversed.any()
+    assert not measured.dead.any()
+
+
 def test_the_sign_of_a_reversed_input_is_changed_on_all_axes() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
     chosen = AxisChoice(source, changed(coefficients(), "rdot/da", -2.0, 0.1), LIMITS)
