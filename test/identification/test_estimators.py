@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from flying import AMPLITUDES, DOMINANT, identified, linear_names, measured, since, worst_error
 
+from uav_ident_ros.identification.estimators.estimator import SecondEstimator
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
 from uav_ident_ros.identification.prior import start_from
@@ -127,6 +128,19 @@ def information_of(f: FloatArray, y: FloatArray) -> Information:
     samples = RowSamples.of(Regression.of(y, f, f, 0.05), y, places)
     information.add([samples], np.ones(places.rows))
     return information
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.05, 0.1])
+def test_a_second_estimator_learns_every_second(dt: float) -> None:
+    """Ten parts of 0.1 s are a second, though their sum rounds below it before Python 3.12."""
+    settings, rng = Settings.from_values({"structure": "augmented"}), np.random.default_rng(1)
+    own = RecursiveRegression(start_from(settings), settings, instrumental=False)
+    second = SecondEstimator(own)
+    count, learns = round(0.1 / dt), []
+    for _ in range(30):
+        y, f = rng.normal(size=(count, 3)), rng.normal(size=(count, 15))
+        learns.append(second.add(Regression.of(y, f, f, dt), np.ones(3)))
+    assert np.flatnonzero(learns).tolist() == [9, 19, 29]
 
 
 @pytest.mark.parametrize(("correlation", "named"), [(0.0, False), (0.965, False), (0.975, True)])

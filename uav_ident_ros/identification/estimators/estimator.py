@@ -161,7 +161,8 @@ class SecondEstimator(Generic[E]):
         if learns:
             self._learn()
         self._gathered.append((samples, samples.time * weight))
-        if sum(part.time for part, _ in self._gathered) >= INDEPENDENT_TIME:
+        time = sum(part.time for part, _ in self._gathered)
+        if time >= INDEPENDENT_TIME - 0.5 * samples.dt:  # whatever the rounding of the sum
             self._learn()
             learns = True
         return learns
