@@ -30,20 +30,24 @@ LINKED = 0.1
 """Command at which the errors of a linkage are given, and beyond which they no longer grow, rad."""
 
 
-def _kept(kept: Any, stream: str, m: Measurements) -> Measurements:
+def keep(which: Any, stream: str, m: Measurements) -> Measurements:
     """Keep some messages of a stream, ``imu`` or ``actuator``."""
     names = [f"{stream}_t_ns", f"{stream}_log_ns"]
     names += ["true_t_ns", "rates", "specific_force"] if stream == "imu" else ["actuators"]
-    return replace(m, **{name: getattr(m, name)[kept] for name in names})
+    return replace(m, **{name: getattr(m, name)[which] for name in names})
 
 
-def _linear(matrix: ArrayLike, force: ArrayLike, _: Generator, m: Measurements) -> Measurements:
-    """Multiply rates and specific force by matrices, as by scales or another mounting."""
+def multiply(rates: ArrayLike, force: ArrayLike, m: Measurements) -> Measurements:
+    """Multiply rates and specific force by matrices, as in another mounting or other units."""
     return replace(
         m,
-        rates=m.rates @ np.transpose(matrix),
+        rates=m.rates @ np.transpose(rates),
         specific_force=m.specific_force @ np.transpose(force),
     )
+
+
+def _linear(rates: ArrayLike, force: ArrayLike, _: Generator, m: Measurements) -> Measurements:
+    return multiply(rates, force, m)
 
 
 def _biased(gyro: float, force: float, drift: bool, _: Generator, m: Measurements) -> Measurements:
@@ -92,12 +96,12 @@ def _silent(stream: str, rng: Generator, m: Measurements) -> Measurements:
     time, kept, start = (t_ns - t_ns[0]) * 1e-9, np.ones(len(t_ns), dtype=bool), 0.0
     while (start := start + rng.uniform(5.0, 15.0)) < time[-1]:
         kept &= (time < start) | (time > start + rng.uniform(0.2, 1.0))
-    return _kept(kept, stream, m)
+    return keep(kept, stream, m)
 
 
 def _lost(share: float, rng: Generator, m: Measurements) -> Measurements:
     """Lose a share of the commands."""
-    return _kept(rng.random(len(m.actuators)) >= share, "actuator", m)
+    return keep(rng.random(len(m.actuators)) >= share, "actuator", m)
 
 
 def _repeated(share: float, rng: Generator, m: Measurements) -> Measurements:
@@ -120,7 +124,7 @@ def _surfaces(moved: FloatArray, commanded: FloatArray) -> FloatArray:
     return np.append(moved[:3], commanded[3:])
 
 
-def _behind(play: float, before: FloatArray, commanded: FloatArray) -> FloatArray:
+def behind(play: float, before: FloatArray, commanded: FloatArray) -> FloatArray:
     """Follow behind a play, rad from stop to stop."""
     half = 0.5 * play
     return _surfaces(np.clip(before, commanded - half, commanded + half), commanded)
@@ -198,8 +202,8 @@ IMPERFECTIONS: Mapping[str, Mapping[str, Any]] = {
     "Imu 20 cm to the right": _imu_at(0.0, 0.2, 0.0),
     # Servo: 0.2 s for 60 deg, and an arm at 0.4 of the surface's; at 50 commands a second
     "servos of 2 rad/s": _on_actuators(_slow, 0.04),
-    "backlash of 1 deg": _on_actuators(_behind, 1.0 * DEGREE),
-    "backlash of 2 deg": _on_actuators(_behind, 2.0 * DEGREE),
+    "backlash of 1 deg": _on_actuators(behind, 1.0 * DEGREE),
+    "backlash of 2 deg": _on_actuators(behind, 2.0 * DEGREE),
     "dead band of 0.7 deg": _on_actuators(_dead, 0.7 * DEGREE),
     "linkage 20 % further on one side": _on_actuators(_linked, 0.1, 0.0),
     "linkage 20 % less at 0.1 rad": _on_actuators(_linked, 0.0, -0.2),

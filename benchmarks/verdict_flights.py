@@ -11,7 +11,7 @@ from typing import Any
 import cases
 import numpy as np
 import random_flights
-from imperfections import IMPERFECTIONS
+from imperfections import IMPERFECTIONS, keep, multiply
 from light_aircraft import LightFlight
 from numpy.typing import ArrayLike
 
@@ -271,12 +271,7 @@ def _changed(series: Series) -> Iterator[Trial]:
 def _thinned(measured: Measurements) -> Measurements:
     """Keep the commands of every tenth of a second."""
     step = round(0.1 / (np.median(np.diff(measured.actuator_t_ns)) * 1e-9))
-    return replace(
-        measured,
-        actuators=measured.actuators[::step],
-        actuator_t_ns=measured.actuator_t_ns[::step],
-        actuator_log_ns=measured.actuator_log_ns[::step],
-    )
+    return keep(slice(None, None, step), "actuator", measured)
 
 
 def _clipped(measured: Measurements) -> Measurements:
@@ -449,17 +444,8 @@ def _told_wrong(series: Series) -> Iterator[Trial]:
             yield series.trial(aircraft, label, 120.0, bank=20.0, wind=wind, warm=factor)
 
 
-def _imu(rates: ArrayLike, force: ArrayLike, measured: Measurements) -> Measurements:
-    """Multiply the Imu's signals by a matrix, as in another mounting, or by that of other units."""
-    return replace(
-        measured,
-        rates=measured.rates @ np.transpose(rates),
-        specific_force=measured.specific_force @ np.transpose(force),
-    )
-
-
 def _mounted(matrix: ArrayLike) -> Spoil:
-    return partial(_imu, matrix, matrix)
+    return partial(multiply, matrix, matrix)
 
 
 def _ordered(order: Sequence[int], measured: Measurements) -> Measurements:
@@ -491,8 +477,8 @@ MISTAKES: Sequence[tuple[str, Spoil, dict[str, Any], str]] = (
     ("imu.convention frd for flu", _as_it_is, {"imu.convention": "frd"}, "'flu' would"),
     ("board upside down", _mounted(np.diag([1.0, -1.0, -1.0])), {}, "3.14, 0.00, yaw"),
     ("board pitched by 90 deg", _mounted([[0, 0, -1], [0, 1, 0], [1, 0, 0]]), {}, "1.57"),
-    ("gyro in deg/s", partial(_imu, 57.3 * np.eye(3), np.eye(3)), {}, "to rad/s"),
-    ("accelerometer in g", partial(_imu, np.eye(3), np.eye(3) / GRAVITY), {}, "looks like g"),
+    ("gyro in deg/s", partial(multiply, 57.3 * np.eye(3), np.eye(3)), {}, "to rad/s"),
+    ("accelerometer in g", partial(multiply, np.eye(3), np.eye(3) / GRAVITY), {}, "looks like g"),
     ("gravity taken out of the force", _weightless, {}, "taken out"),
     ("rudder and aileron swapped", partial(_ordered, [0, 2, 1, 3]), {}, "swapped"),
     ("elevator and aileron swapped", partial(_ordered, [2, 1, 0, 3]), {}, "swapped"),
@@ -622,14 +608,15 @@ def _mistakes(series: Series) -> Iterator[Trial]:
 
 def _reversed(series: Series) -> Iterator[Trial]:
     """Excitation in level flight, with an Imu turned round or one axis of its gyro reversed."""
-    backwards, pitch = np.diag([-1.0, -1.0, 1.0]), np.diag([1.0, -1.0, 1.0])
+    backwards = _mounted(np.diag([-1.0, -1.0, 1.0]))
+    pitched = partial(multiply, np.diag([1.0, -1.0, 1.0]), np.eye(3))
     for aircraft, wind in (
         ("light_aircraft", 0.0), ("light_aircraft", 0.5), ("c172p", 3), ("T37", 0), ("OV10", 0),
         ("ultra_stick_25e", 2),
     ):  # fmt: skip
         for mistake, spoil, named in (
-            ("the Imu points backwards", _mounted(backwards), "points backwards"),
-            ("axis y of the gyro reversed", partial(_imu, pitch, np.eye(3)), "axis y of the gyro"),
+            ("the Imu points backwards", backwards, "points backwards"),
+            ("axis y of the gyro reversed", pitched, "axis y of the gyro"),
         ):
             label = f"wind {wind:g}, {mistake}"
             yield series.trial(aircraft, label, wind=wind, spoil=spoil, names=named)

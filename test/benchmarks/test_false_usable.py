@@ -11,7 +11,7 @@ pytest.importorskip("jsbsim", reason="JSBSim is a development extra")
 
 import false_usable
 import verdict_flights
-from imperfections import IMPERFECTIONS, _behind
+from imperfections import IMPERFECTIONS, behind
 from light_aircraft import TRUTH
 
 from uav_ident_ros.identification.structure import STRUCTURES
@@ -73,7 +73,7 @@ def test_each_imperfection_meets_each_aircraft_in_five_seeds() -> None:
 
 
 def test_surfaces_behind_a_play_stay_while_the_record_has_the_commands() -> None:
-    play = partial(_behind, 1.0)
+    play = partial(behind, 1.0)
     flown = verdict_flights.fly(
         "light_aircraft", 1, duration=4.0, excitation=((0.0, 1e3),), actuators=play
     )
