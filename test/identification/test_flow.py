@@ -18,6 +18,7 @@ from flying import (
     messages,
     plant_flight,
 )
+from light_aircraft import TRUTH
 
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowObserver, FlowState
@@ -346,3 +347,34 @@ def test_a_force_step_of_the_rudder_does_not_bias_the_aileron(arm: tuple[float, 
     quiet = {"gyro_noise": 1e-6, "accelerometer_noise": 1e-5, "lever_arm": arm}
     *_, last = identified(rudder_alone(40.0, 1, quiet))[1]
     assert light_errors(last, "pdot/da")[0] < 0.05
+
+
+# An accelerometer this far ahead feels the turn by the fin as much as this little side force, the
+# other way
+AHEAD = (0.27, 0.0, 0.06)
+SLIM = TRUTH | {"rdot/beta": 38.0, "ay/beta": -6.0}
+
+
+def at(arm: tuple[float, ...], **changes: Any) -> Measurements:
+    """Measurements by an accelerometer at `arm`."""
+    sensors = {"lever_arm": arm, "gyro_noise": 0.003}
+    return light_measured(40.0, sensors=sensors, derivatives=SLIM, **changes)
+
+
+def test_sideslip_and_delay_are_those_by_an_accelerometer_at_the_centre_of_gravity() -> None:
+    slips, delays = [], []
+    for arm in ((0.0, 0.0, 0.0), AHEAD):
+        identifier, estimates = identified(at(arm, gust=0.8, delay=0.05), actuators__delay=0.05)
+        slips.append(np.array([e.flow.beta for e in estimates[-300:] if e.flow is not None]))
+        delays.append(identifier.delays.estimate.delay)
+    assert np.std(slips[1] - slips[0]) < 0.2 * np.std(slips[0])
+    assert abs(delays[1] - delays[0]) < 0.005
+
+
+def test_an_accelerometer_ahead_is_not_taken_for_a_reversed_yaw_rate() -> None:
+    """Its force grows with the velocity across the body, unless the arm is configured."""
+    ahead = at(AHEAD)
+    assert identified(ahead)[0].plausibility.doubt is None
+    doubt = identified(ahead, imu__lever_arm=[0.0, 0.0, 0.0])[0].plausibility.doubt
+    assert doubt is not None
+    assert "imu.lever_arm" in doubt.finding.text

@@ -321,6 +321,8 @@ class DelayBank:
         signals = _interpolate(grid, t, values)
         # A step of a surface is a step of the force: both are means over the same time.
         force = 0.5 * (values[1:, 3:5] + values[:-1, 3:5])
+        if block.by_turning is not None:
+            force -= _smoothed(block.by_turning, block.h)
         ends = STEP * np.arange(-1, WINDOW * WINDOWS + 2)
         sums = _interpolate(ends, t, _integral(force, t))
         signals[:, 3:5] = (sums[2:] - sums[:-2]) / (2.0 * STEP)

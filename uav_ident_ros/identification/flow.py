@@ -135,6 +135,8 @@ class FlowObserver:
         self._speed = v
         plan = plan_steps(len(block.u), block.h)
         rates, force = plan.means @ block.x, plan.means @ block.specific_force
+        if block.by_turning is not None:
+            force[:, 1:] -= plan.cell_means @ block.by_turning
         samples = np.concatenate((rates, plan.cell_means @ block.u, force), axis=1).tolist()
         if block.restarted:
             self._steps.clear()

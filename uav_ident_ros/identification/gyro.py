@@ -56,7 +56,13 @@ together, which the side force shows."""
 
 _BACKWARDS = HYPOTHESES[1]
 _LEVEL = (
-    Hypothesis((1, 1, -1), 1, "axis z of the gyro has the wrong sign, by itself or with axis x"),
+    Hypothesis(
+        (1, 1, -1),
+        1,
+        "axis z of the gyro has the wrong sign, by itself or with axis x",
+        "Correct it where the Imu is published (REP-103), or set imu.lever_arm if the Imu is ahead "
+        "of the centre of gravity: it then feels each turn as a side force",
+    ),
     Hypothesis((1, -1, 1), 1, "axis y of the gyro has the wrong sign, by itself or with axis x"),
 )
 """Axes of which the signs are wrong if the side force, or the lift, alone supports the flow."""

@@ -292,10 +292,6 @@ class StateVariableFilter:
     ) -> None:
         self._structure = structure
         self._lever = lever_arm_matrix(lever_arm)
-        self._corrects_lever = bool(lever_arm.any()) and (
-            structure.has_forces or structure.has_flow
-        )
-        self._cutoff = cutoff
         columns, flows = differentiated_columns(structure), len(structure.flow)
         self._rates = [j for j in columns if j < INPUT_COLUMNS.start]
         surfaces = columns[len(self._rates) :]
@@ -347,8 +343,6 @@ class StateVariableFilter:
         found = Regression(signals, self._rows, block.h, block.restarted, block.injected)
         if scale is not None and self._rates:
             found.f[:, self._size : self._size + len(self._rates)] *= scale[self._rates]
-        if self._corrects_lever:
-            self._correct_lever(found.y, found.f, low, block)
         return found
 
     def _channels(
@@ -369,6 +363,7 @@ class StateVariableFilter:
         held[..., INPUT_COLUMNS] = inputs
         if n > CONSTANT_COLUMN:
             lines[..., LAST_COLUMNS] = block.force
+        beside = np.zeros((m, 2)) if block.by_turning is None else block.by_turning
         if v is not None:
             assert coefficients is not None
             made = coefficients[3:5]
@@ -381,13 +376,12 @@ class StateVariableFilter:
             line[:, 3:5], hold[:, 5:] = block.force, block.u[:, self._surfaces]
             if block.early is not None:
                 # A surface acts on the accelerometer at once, also by the lever arm.
-                at_once = made[:, INPUT_COLUMNS]
-                if self._corrects_lever:
-                    at_once = at_once + self._lever @ coefficients[: len(ROWS), INPUT_COLUMNS]
-                early = block.early @ at_once.T
-                hold[:, 3:5] -= early
-                held[0, :, LAST_COLUMNS] -= early
-                held[0, :, n:] -= early / v
+                at_once = made + self._lever @ coefficients[: len(ROWS)]
+                beside = beside + block.early @ at_once[:, INPUT_COLUMNS].T
+            hold[:, 3:5] -= beside
+            held[0, :, n:] -= beside / v
+        if n > CONSTANT_COLUMN:
+            held[0, :, LAST_COLUMNS] -= beside
         if self._structure.own:
             lines[..., OWN_COLUMNS.start : n] = 0.0
             middle = 0.5 * (states[:, 1:, :3] + states[:, :-1, :3])
@@ -407,18 +401,6 @@ class StateVariableFilter:
             both[:, n:] = scale[LAST_COLUMNS][0]
             known[5:] = scale[INPUT_COLUMNS][self._surfaces]
         return self._joined(known, both)
-
-    def _correct_lever(self, y: FloatArray, f: FloatArray, low: FloatArray, block: Block) -> None:
-        """Move the forces from the accelerometer to the centre of gravity."""
-        offset = y[:, :3] @ self._lever.T
-        f[:, LAST_COLUMNS] -= offset
-        if block.airspeed is not None:
-            n = self._structure.size
-            f[:, n : n + 2] -= offset / block.airspeed
-            # Second derivative of the filtered rates, by the filter's own equation
-            w = self._cutoff
-            jerk = w * w * (block.x[1:] - low[:, :3]) - np.sqrt(2.0) * w * y[:, :3]
-            y[:, 3:] -= jerk @ self._lever.T
 
 
 def diagonal(matrices: FloatArray) -> FloatArray:

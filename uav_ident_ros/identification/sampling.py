@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from uav_ident_ros.identification.filters import BlockFilter
-from uav_ident_ros.identification.frames import BodyFrame, centripetal
+from uav_ident_ros.identification.frames import BodyFrame, centripetal, lever_arm_matrix
 from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
 from uav_ident_ros.identification.scales import IN_A_ROW, SAMPLE_TIME
 from uav_ident_ros.identification.settings import (
@@ -153,6 +153,9 @@ class Block:
     # (m, 4) Means of lines through the inputs at the edges, less `u`: such a line begins a jump a
     # cell sooner. None for inputs that do not jump
     early: FloatArray | None = None
+    # (m, 2) Means of the part of ay, az that an offset accelerometer adds while the rates change,
+    # m/s^2; None where it is not offset
+    by_turning: FloatArray | None = None
     airspeed: float | None = None  # True, m/s; None until the flow angles are observed
 
     def __post_init__(self) -> None:
@@ -177,6 +180,7 @@ def join(blocks: Sequence[Block]) -> Block:
         return np.concatenate([np.zeros_like(b.u) if v is None else v for v, b in both])
 
     first = blocks[0]
+    turning = [block.by_turning for block in blocks if block.by_turning is not None]
     joined = Block(
         edge_values([block.t_ns for block in blocks]),
         first.h,
@@ -186,6 +190,7 @@ def join(blocks: Sequence[Block]) -> Block:
         first.restarted,
         of_cells([block.excitation for block in blocks]),
         of_cells([block.early for block in blocks]),
+        np.concatenate(turning) if turning else None,
         first.airspeed,
     )
     joined.model_state = edge_values([block.model_state for block in blocks])
@@ -204,6 +209,7 @@ class Sampler:
     def __init__(self, settings: Settings) -> None:
         self._frame = BodyFrame(settings.imu)
         self._arm = np.array(settings.imu.lever_arm)
+        self._lever = lever_arm_matrix(self._arm)
         self._offset = bool(self._arm.any())
         self._actuators = settings.actuators
         self._max_gap_ns = round(settings.filter.max_gap * 1e9)
@@ -375,8 +381,10 @@ class Sampler:
         lag, injected_lag = self._lags
         signals = self.rates.interpolate(edges).reshape(-1, 2, 3)
         x, force = self._frame.to_body(signals).transpose(1, 0, 2)
+        by_turning = None
         if self._offset:
             force[:, 1:] -= centripetal(x, self._arm)
+            by_turning = (x[1:] - x[:-1]) @ self._lever.T / (self.h_ns * NS)
         raw = self.raw_inputs
         done = self.input_map.curved(raw.v)
         means = cell_means(raw.t, done, at, self._actuators.interpolation)
@@ -388,7 +396,7 @@ class Sampler:
         if not self._linear and self.time_constant == 0.0:
             jumping = self.input_map.mix(done[raw.t.searchsorted(at, side="right") - 1])
             early = 0.5 * (jumping[1:] + jumping[:-1]) - u
-        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected, early)
+        return Block(edges, self.h_ns * NS, x, u, force, restarted, injected, early, by_turning)
 
 
 def with_zeros(
