@@ -97,6 +97,7 @@ class FlowObserver:
         # Steps that `gyro` has not seen: durations, s, rates, rad/s, and specific forces, m/s^2
         self._steps: list[tuple[FloatArray, FloatArray, FloatArray]] = []
         self._steps_time = 0.0  # s
+        self._flies = True  # During all of them
 
     @property
     def attitude(self) -> tuple[float, float]:
@@ -127,6 +128,7 @@ class FlowObserver:
         block: Block,  # Measured signals over m cells
         coefficients: FloatArray,  # (7, n) A_m; its force rows convert forces to angles
         airspeed: float | None,  # True, m/s; None if none is measured
+        grounded: bool = False,  # Whether the aircraft is known not to fly
     ) -> None:
         """Observe the attitude and flow angles over a block, and add them to it."""
         v = self._reference
@@ -140,7 +142,7 @@ class FlowObserver:
         samples = np.concatenate((rates, plan.cell_means @ block.u, force), axis=1).tolist()
         if block.restarted:
             self._steps.clear()
-            self._steps_time = 0.0
+            self._steps_time, self._flies = 0.0, True
             self.gyro.restart()
         unbiased = (rates - self.gyro.bias).tolist()
         slow = 0.0 if self.gyro.found else 0.25 * ATTITUDE_GAIN
@@ -181,6 +183,7 @@ class FlowObserver:
         block.state = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
         block.airspeed = v
         block.restarted = block.restarted or self.realigned
+        self._flies = self._flies and not grounded
         self._find_bias(np.array(plan.times), rates, force, v)
 
     def _find_bias(
@@ -195,8 +198,9 @@ class FlowObserver:
         if self._steps_time < RESPONSE_TIME:
             return
         times, rates, force = map(np.concatenate, zip(*self._steps, strict=True))
-        self._steps, self._steps_time, known = [], 0.0, self.gyro.found
-        self.gyro.add(times, rates, force, airspeed)
+        known = self.gyro.found
+        self.gyro.add(times, rates, force, airspeed, flies=self._flies)
+        self._steps, self._steps_time, self._flies = [], 0.0, True
         self.realigned = self.gyro.found and not known
         if self.gyro.found:
             x, y, z = self.gyro.down.tolist()

@@ -113,6 +113,8 @@ class GyroFilters:
         rates: FloatArray,  # (k, 3) rad/s, FRD
         force: FloatArray,  # (k, 3) Specific force, m/s^2, FRD
         airspeed: float,  # True, m/s
+        *,
+        flies: bool = True,  # If not, nothing here shows the axes
     ) -> None:
         """Add a block of samples, as long as the path of flight takes to follow the nose."""
         time, speed = float(steps.sum()), (airspeed * _AHEAD)[..., None]
@@ -129,14 +131,16 @@ class GyroFilters:
         shares = np.stack([steps / time, weights / (weight + TINY)])
         innovation = np.einsum("sk,hki->shi", shares, upwards) + GRAVITY * self._down
         gravity = GRAVITY * (self._down[0] @ turns[0])
-        self._lift.add(steps, omega[0], force, gravity, airspeed)
+        if flies:
+            self._lift.add(steps, omega[0], force, gravity, airspeed)
         # The rotation vector, initial axes, per bias, s
         lever = np.cumsum(turns * steps[:, None, None], axis=1)
         by_bias = speed[..., None] * (turns @ _ALONG) - cross_matrices(upwards) @ lever
         by_bias = np.einsum("sk,hkij->shij", shares, by_bias)
         by_attitude = np.broadcast_to(GRAVITY * cross_matrices(self._down), by_bias.shape)
         slope = np.concatenate([by_attitude, by_bias], axis=3)
-        self._judge(innovation[0] / FORCE_SIGMA, slope[0] / FORCE_SIGMA, 1.0 - time / LONG_MEMORY)
+        scaled = innovation[0] / FORCE_SIGMA, slope[0] / FORCE_SIGMA
+        self._judge(*scaled, 1.0 - time / LONG_MEMORY, flies=flies)
         weighted = weight / FORCE_SIGMA**2 * slope[1].swapaxes(1, 2)
         information = self._information + weighted @ slope[1]
         error = np.linalg.solve(information, weighted @ innovation[1, ..., None])[..., 0]
@@ -161,13 +165,18 @@ class GyroFilters:
         missing = directions @ np.where(shown, 0.0, components / variances)
         self.down = _unit(self._down[0] - np.cross(covariance[:3, 3:] @ missing, self._down[0]))
 
-    def _judge(self, innovation: FloatArray, slope: FloatArray, keep: float) -> None:
-        """Add the squares of the predicted innovations; their sum so far counts by `keep`."""
+    def _judge(
+        self, innovation: FloatArray, slope: FloatArray, keep: float, *, flies: bool
+    ) -> None:
+        """Add the squares of the predicted innovations; their sum so far counts by `keep`.
+
+        Without flight every hypothesis gets those of the configured axes.
+        """
         spread = np.linalg.solve(self._information, slope.swapaxes(1, 2))
         covariance = np.eye(3) + slope @ spread
         scaled = np.linalg.solve(covariance, innovation[..., None])[..., 0]
         squares = (innovation * scaled).sum(axis=1) + np.linalg.slogdet(covariance)[1]
-        self._squares = keep * self._squares + squares
+        self._squares = keep * self._squares + (squares if flies else squares[0])
         self._count = keep * self._count + 3.0
 
     def _turn(

@@ -470,7 +470,8 @@ class OnlineIdentifier:
             self._detect_accelerometer(block)
         coefficients, leak = self._flown, self.settings.model.leak_time
         if self._flow is not None:
-            self._flow.follow(block, coefficients, self._speed.airspeed)
+            ground = grounded(self.settings, self.supervisor.armed, self._speed.newest)
+            self._flow.follow(block, coefficients, self._speed.airspeed, bool(ground))
             if self._flow.realigned:
                 self._drifted, self._fresh = True, None
                 longest = self.settings.actuators.longest_delay
