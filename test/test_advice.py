@@ -137,7 +137,11 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      r"not enough rudder excitation: rdot/dr is known to 4\.0 sigma only \(4 needed\)"),
     ("weak_excitation", STILL_RUDDER | {"answers": np.full(4, 0.3)},  # still known
      WEAK_RUDDER | {"answers": np.array([0.0, 0.3, 0.0, 0.0])},
-     r"\(4 needed\), since 30 % of its motion answers disturbances; move the rudder by itself,"),
+     r"\(4 needed\), since 30 % of its motion answers disturbances; move the rudder by itself, .*"
+     r": doublets by hand .* not ArduPlane's$"),
+    ("weak_excitation", STILL_RUDDER | {"answers": np.full(4, 0.3)},
+     WEAK_RUDDER | {"answers": np.full(4, 0.3), "settings": QUAD},
+     r"move the yaw input by itself, .* SystemID mode"),
     ("weak_excitation", STILL_RUDDER, WEAK_RUDDER | {"answers": np.array([0.3, 0.0, 0.3, 0.3])},
      r"\(4 needed\); move the rudder more, and by itself$"),
     # sufficient excitation: a setting widens sigma

@@ -56,8 +56,11 @@ FAST_LOGS = (
 )
 """Settings for fast logs of an autopilot; the tables of import_logs have them in detail."""
 
-EXCITING_MODES = "an autopilot's autotune does that, and ArduPilot's SystemID mode (SID_AXIS)"
-"""Sources of suitable excitation."""
+EXCITATION = {
+    True: "an autopilot's autotune does that, and ArduPilot's SystemID mode (SID_AXIS)",
+    False: "doublets by hand without stabilisation do that, and PX4's autotune, not ArduPlane's",
+}
+"""Sources of suitable excitation, of a multirotor and of an aircraft with surfaces."""
 
 DROPPED_SHARE = 0.01
 """Share of dropped messages that is reported."""
@@ -104,10 +107,11 @@ def never_flew(e: Evidence) -> Iterator[str]:
 def no_excitation(e: Evidence) -> Iterator[str]:
     """Yield advice if no surface moved: then there is no model to judge."""
     if (e.input_spread[: INPUTS.index("dth")] < STILL).all():
-        what = "roll, pitch or yaw input" if e.settings.actuators.multirotor else "surface"
+        multirotor = e.settings.actuators.multirotor
+        what = "roll, pitch or yaw input" if multirotor else "surface"
         yield (
             f"no {what} moved: their effects are unknown; check 'actuators.channels' and "
-            f"'actuators.mixing', or excite the aircraft: {EXCITING_MODES}"
+            f"'actuators.mixing', or excite the aircraft: {EXCITATION[multirotor]}"
         )
 
 
@@ -122,8 +126,8 @@ def gated(e: Evidence) -> Iterator[str]:
 
 def weak_excitation(e: Evidence) -> Iterator[str]:
     """Yield the surfaces of the vehicle that moved too little to identify their derivatives."""
-    names = AXIS_INPUT_WORDS if e.settings.actuators.multirotor else INPUT_WORDS
-    needed = e.settings.supervision.min_t_ratio
+    multirotor, needed = e.settings.actuators.multirotor, e.settings.supervision.min_t_ratio
+    names = AXIS_INPUT_WORDS if multirotor else INPUT_WORDS
     for name, derivative in MAIN_DERIVATIVES.items():
         if not e.settings.actuators.has(name):
             continue
@@ -136,7 +140,7 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
             if answers > 0.0:
                 cure = (
                     f", since {100.0 * answers:.0f} % of its motion answers disturbances; move the "
-                    f"{word} by itself, whatever the aircraft does: {EXCITING_MODES}"
+                    f"{word} by itself, whatever the aircraft does: {EXCITATION[multirotor]}"
                 )
             yield (
                 f"not enough {word} excitation: {derivative} is known to {ratio:.1f} sigma only "
