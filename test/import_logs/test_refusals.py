@@ -337,6 +337,8 @@ ROVER = {
 TORQUE, ONE_ROTOR = "vehicle_torque_setpoint", {"CA_ROTOR_COUNT": 4, "CA_AIRFRAME": 0}
 TWO_PARTS = ("b:c[65535] y;", "a:uint64_t timestamp;b[65535] x;")
 
+PLANE = [(0, "MSG", (b"ArduPlane V4.2.3 (55685c43)",))]
+
 REFUSED: list[tuple[str, Make]] = [
     # files
     ("nowhere.ulg' cannot be read: No such file", lambda folder: [str(folder / "nowhere.ulg")]),
@@ -361,6 +363,8 @@ REFUSED: list[tuple[str, Make]] = [
     ("has no rates .*it has vehicle_torque_setpoint", px4("sensor_combined")),
     ("has no actuators .*it has sensor_combined", px4(TORQUE)),
     ("has no rates .*it has .*PARM", lambda folder: [str(plane_log(folder, "IMU"))]),
+    (r"no rates .*it has .*MSG, PARM \(LOG_BITMASK 1029: make it 525317, 'raw IMU'\)$",
+     lambda folder: [str(write_dataflash(folder / "slow.bin", PLANE, {"LOG_BITMASK": 1029}))]),
     ("has no actuators .*it has .*PARM", lambda folder: [str(plane_log(folder, "RCOU"))]),
     ("there are sensor_combined, sensor_gyro, v", px4(options="--rates-topic sensor_mag")),
     ("actuator_motors", px4(options="--actuators-topic servos")),

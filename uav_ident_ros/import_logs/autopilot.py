@@ -133,9 +133,10 @@ class Import:
         found = {name: m for name, m in there.items() if m is not None and m.has(*fields[name])}
         if not found:
             which = f", instance {instance}" if instance else ""
+            there_are = ", ".join(sorted(self.log.kinds)) or "no messages at all"
+            cure = self._to_log_faster(looked_for[0]) if what == "rates" else ""
             raise self.log.refusal(
-                f" has no {what} ({', '.join(looked_for)}{which}); it has "
-                f"{', '.join(sorted(self.log.kinds)) or 'no messages at all'}"
+                f" has no {what} ({', '.join(looked_for)}{which}); it has {there_are}{cure}"
             )
         return found
 
