@@ -193,12 +193,17 @@ def test_a_disturbance_that_no_surface_explains_contradicts_none(seed: int) -> N
         assert not any("contradicted" in doubt for doubt in flight.doubts())
 
 
-def test_answers_to_gusts_within_a_sample_contradict_no_healthy_surface() -> None:
-    """As of a rate loop much faster than the samples: half of each gust is answered at once."""
+@pytest.mark.parametrize("spread", [0.0, 0.5])
+def test_answers_to_gusts_within_a_sample_contradict_no_healthy_surface(spread: float) -> None:
+    """As of a rate loop much faster than the samples: half of each gust is answered at once.
+
+    The regression's filter spreads a share of each sample over the next.
+    """
     rng, flight = np.random.default_rng(1), Flight()
     flight.answers[:] = True
     main = np.array([0, 1, 2]), np.array([INPUTS.index(name) for name in ("da", "de", "dr")])
     gust, command, moved = np.zeros(3), np.zeros(3), np.zeros(3)
+    before = np.zeros(4), np.zeros(3)
     for k in range(round(60.0 / DT)):
         new = 0.5 * rng.normal(size=3)
         gust = 0.9 * gust + new
@@ -206,7 +211,10 @@ def test_answers_to_gusts_within_a_sample_contradict_no_healthy_surface() -> Non
         moved = 0.8 * moved + command
         u = np.zeros(4)
         u[main[1]] = (moved - 0.5 * new) / ESTIMATED[main]
-        flight.add(u[None], (ESTIMATED @ u + gust)[None], (ESTIMATED @ u)[None])
+        now = u, gust
+        u, w = ((1.0 - spread) * new + spread * old for new, old in zip(now, before, strict=True))
+        before = now
+        flight.add(u[None], (ESTIMATED @ u + w)[None], (ESTIMATED @ u)[None])
         learned = k * DT > 10.0  # both models of the past
         assert not (learned and any("contradicted" in doubt for doubt in flight.doubts()))
     assert flight.doubts() == ["", "", ""]

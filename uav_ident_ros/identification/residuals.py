@@ -297,12 +297,14 @@ class Confirmation:
 
     Where an input may answer gusts, its effect is predicted from its own past: a loop that is
     faster than the samples answers a gust within one, and this answer would count against a healthy
-    surface.
+    surface. The prediction is of two samples. The regression's filter spreads a gust over as many,
+    which leaves a correlation of 0.6 between neighbours in the whitened residual.
     """
 
     def __init__(self) -> None:
         self._odds: FloatArray = np.zeros((len(OTHER_EFFECTS), len(ROWS)))
         self._effects = Autoregression(len(ROWS))
+        self._surprise: FloatArray = np.zeros((len(ROWS), 1))  # Last innovation of the effects
         self._now = 0.0  # Time since the start, s
         # Evidence of the last `INDEPENDENT_TIME` that the surface has an effect at all
         self._recent: FloatArray = np.zeros(len(ROWS))
@@ -338,8 +340,11 @@ class Confirmation:
         restarted: bool,  # Whether the first sample does not continue the last
     ) -> None:
         """Add whitened samples to the evidence."""
-        new = self._effects.whiten(effect[..., None], white.dt, restarted=restarted)
-        effect = effect - new[..., 0] * may_answer[:, None]
+        new = self._effects.whiten(effect[..., None], white.dt, restarted=restarted)[..., 0]
+        before = np.hstack((self._surprise * (not restarted), new[:, :-1]))
+        self._surprise = new[:, -1:]
+        new = new + self._effects.weights[:, :1] * before
+        effect = effect - new * may_answer[:, None]
         estimated = white.residual[: len(ROWS)]
         explained = white.y[: len(ROWS)] - estimated  # by the whole row
         residual = estimated + _LEFT[:, 0] * effect + _LEFT[:, 1] * explained
