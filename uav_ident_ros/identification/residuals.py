@@ -285,6 +285,9 @@ _LEFT = 1.0 - np.array([(1.0, 1.0), *OTHER_EFFECTS])[:, :, None, None]
 """Shares of the estimated effects, of surface and row, in the residual by each hypothesis; those of
 the estimate first."""
 
+_SIZED = _LEFT[:, 0] < 1.0
+"""Hypotheses about the size of the effect, not about whether there is any."""
+
 
 class Confirmation:
     """Evidence for and against the main control derivatives of the moment rows.
@@ -297,8 +300,9 @@ class Confirmation:
 
     Where an input may answer gusts, its effect is predicted from its own past: a loop that is
     faster than the samples answers a gust within one, and this answer would count against a healthy
-    surface. The prediction is of two samples. The regression's filter spreads a gust over as many,
-    which leaves a correlation of 0.6 between neighbours in the whitened residual.
+    surface. The regression's filter spreads a gust over two samples, which leaves a correlation of
+    up to 0.6 between neighbours in the whitened residual. The size of the effect is therefore
+    judged by a prediction over two samples, which is weaker; whether there is any, over one.
     """
 
     def __init__(self) -> None:
@@ -343,11 +347,11 @@ class Confirmation:
         new = self._effects.whiten(effect[..., None], white.dt, restarted=restarted)[..., 0]
         before = np.hstack((self._surprise * (not restarted), new[:, :-1]))
         self._surprise = new[:, -1:]
-        new = new + self._effects.weights[:, :1] * before
         effect = effect - new * may_answer[:, None]
+        late = self._effects.weights[:, :1] * before * may_answer[:, None]
         estimated = white.residual[: len(ROWS)]
         explained = white.y[: len(ROWS)] - estimated  # by the whole row
-        residual = estimated + _LEFT[:, 0] * effect + _LEFT[:, 1] * explained
+        residual = estimated + _LEFT[:, 0] * (effect - _SIZED * late) + _LEFT[:, 1] * explained
         squares = np.add.reduce(residual * residual, axis=2)
         time = effect.shape[1] * white.dt
         self.fade(time, max_age)
