@@ -229,11 +229,13 @@ class ModelError:
 
         First they are plain, then in the rows `known` whitened. The third time the instruments of
         these rows are those of two samples before: a loop that is faster than the samples answers a
-        gust within one, and the regression's filter spreads it over the next.
+        gust within one, and the regression's filter spreads it over the next. Once, if no row is.
         """
         rows, begun = slice(len(self._entries)), self._behind is None
         f, z = self._extended(np.stack((block.f[rows], block.z[rows])), block.dt)
         plain = np.concatenate((block.signals[rows, :, :2], f, z), axis=-1)
+        if not known.any():
+            return (plain[..., 1:],)
         white = self._noise.whiten(plain, block.dt, restarted=begun)
         past = np.zeros_like(white)
         past[:, 2:] = np.concatenate((white[:, 2:, : -z.shape[-1]], z[:, :-2]), axis=-1)
@@ -300,7 +302,8 @@ class ModelError:
         in it then, and the less of the two counts.
         """
         none = np.zeros(len(self._entries))
-        kinds = [self._find(blocks, _SHAPE, none, effect, kind) for kind in (1, 2)]
+        whitened = (1, 2) if known.any() else (0,)
+        kinds = [self._find(blocks, _SHAPE, none, effect, kind) for kind in whitened]
         found = np.array([losses.found[: len(ROWS), 0, 1] for losses in kinds])
         sigma = np.array([losses.sigma[: len(ROWS), 0] for losses in kinds])
         beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
