@@ -13,12 +13,6 @@ that falls with frequency, as by a servo lag in whose place a delay is in use, a
 row's derivatives are then off by about as much. A c2 that adds to the effect is an input that acts
 early: a configured lag or delay is too long, and all derivatives may be off by several times.
 
-A loop makes small deflections look weaker: they answer the gusts, the large ones follow the
-reference. For any function g of an input that answers a normally distributed disturbance w,
-``E[g(u) w] = E[g'(u)] E[u w]`` (Stein's lemma), which looks like c1 and c4. Where the input's
-effect is known a priori, both are therefore sought in whitened samples: an innovation comes before
-any answer to it.
-
 An accelerometer h above the centre of gravity measures `h pdot` as side force. In the row of ay,
 with p in the place of u, c2 is h.
 """
@@ -33,7 +27,6 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.estimators.information import POWERLESS
 from uav_ident_ros.identification.regression import Layout, RowSamples, diagonal
-from uav_ident_ros.identification.residuals import Autoregression
 from uav_ident_ros.identification.scales import (
     BLOCKS,
     DOUBTLESS,
@@ -67,9 +60,7 @@ _YAW = ROWS.index("rdot")
 
 _SATURATION, _LATENESS, _ATTENUATION, _BACKLASH = range(EXTRA)
 _LATE = (_SATURATION, _LATENESS), (_ATTENUATION, _LATENESS)
-_SHAPE = ((_SATURATION, _BACKLASH),)  # A backlash looks late: beside lateness noise hides it
-
-_NO_ROW: BoolArray = np.zeros(len(ROWS), dtype=bool)
+_PAIRS = (*_LATE, (_SATURATION, _BACKLASH))  # A backlash looks late: beside lateness noise hides it
 
 
 def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
@@ -114,10 +105,8 @@ class ModelError:
         self._gathered: list[tuple[RowSamples, FloatArray]] = []
         # Of the newest blocks, cyclically, sums of z f^T, z z^T, z y and the squared residuals
         rows, width = len(self._entries), layout.width + EXTRA
-        kinds = 3  # As in `_kinds`
-        self._zf, self._zz = (np.zeros((kinds, rows, BLOCKS, width, width)) for _ in range(2))
-        self._zy, self._squares = np.zeros((kinds, rows, BLOCKS, width)), np.zeros((rows, BLOCKS))
-        self._noise = Autoregression(rows)
+        self._zf, self._zz = (np.zeros((rows, BLOCKS, width, width)) for _ in range(2))
+        self._zy, self._squares = np.zeros((rows, BLOCKS, width)), np.zeros((rows, BLOCKS))
         self._blocks = 0  # Closed so far
         self._settled = 0  # Of these, the newest, with instruments of a known model
         # Of the inputs, in regressors and instruments, (2, rows): running mean and mean square, and
@@ -170,9 +159,8 @@ class ModelError:
     def begin_anew(self, row: int) -> None:
         """Clear the sums of a row; its errors hold until there are enough blocks again."""
         self._gathered.clear()
-        for sums in (self._zf, self._zz, self._zy):
-            sums[:, row] = 0.0
-        self._squares[row] = 0.0
+        for sums in (self._zf, self._zz, self._zy, self._squares):
+            sums[row] = 0.0
 
     def forget(self, row: int) -> None:
         """Clear the sums and errors of a row whose derivatives are learned anew."""
@@ -192,8 +180,6 @@ class ModelError:
         effect: FloatArray,  # (3,) Control derivative of each row's main input
         *,
         restarted: bool,  # Whether the first sample does not continue the last
-        # (3,) Whether each row's main control derivative is known a priori
-        known: BoolArray = _NO_ROW,
         # Whether the instruments' model is known. At the start it leaks, and gusts are in them.
         # With enough blocks without leak, those of the start are left out.
         settled: bool = True,
@@ -214,33 +200,14 @@ class ModelError:
         weight = np.repeat(weights, [part.count for part in parts], axis=0).T
         weight = weight[[0, 1, 2, 0][rows]]  # the row of ay is excited by roll
         weight[:, 0] = 0.0  # no derivative of the first sample
-        for kind, signals in enumerate(self._kinds(block, np.append(known, False)[rows])):
-            y, f, z = np.split(signals, [1, 1 + self._zf.shape[-1]], axis=-1)
-            weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
-            self._zf[kind, :, at], self._zz[kind, :, at] = weighted @ f, weighted @ z
-            self._zy[kind, :, at] = (weighted @ y)[..., 0]
+        f, z = self._extended(np.stack((block.f[rows], block.z[rows])), block.dt)
+        weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
+        self._zf[:, at], self._zz[:, at] = weighted @ f, weighted @ z
+        self._zy[:, at] = (weighted @ block.y[rows, :, None])[:, :, 0]
         self._squares[:, at] = np.add.reduce(weight * block.residual[rows] ** 2, axis=1)
         self._blocks += 1
         self._settled += settled
-        self._look(np.append(ratio, roll_ratio)[rows], effect, known)
-
-    def _kinds(self, block: RowSamples, known: BoolArray) -> tuple[FloatArray, ...]:
-        """Return y, f and z of a block, extended, (rows, m, 1 + 2 k), three times.
-
-        First they are plain, then in the rows `known` whitened. The third time the instruments of
-        these rows are those of two samples before: a loop that is faster than the samples answers a
-        gust within one, and the regression's filter spreads it over the next. Once, if no row is.
-        """
-        rows, begun = slice(len(self._entries)), self._behind is None
-        f, z = self._extended(np.stack((block.f[rows], block.z[rows])), block.dt)
-        plain = np.concatenate((block.signals[rows, :, :2], f, z), axis=-1)
-        if not known.any():
-            return (plain[..., 1:],)
-        white = self._noise.whiten(plain, block.dt, restarted=begun)
-        past = np.zeros_like(white)
-        past[:, 2:] = np.concatenate((white[:, 2:, : -z.shape[-1]], z[:, :-2]), axis=-1)
-        kinds = plain, *np.where(known[:, None, None], (white, past), plain)
-        return tuple(signals[..., 1:] for signals in kinds)
+        self._look(np.append(ratio, roll_ratio)[rows], effect)
 
     def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
         """Return regressors and instruments, (2, rows, m, k), extended by those of each row's u."""
@@ -268,7 +235,7 @@ class ModelError:
         self._behind = behind
         return beyond
 
-    def _look(self, ratio: FloatArray, effect: FloatArray, known: BoolArray) -> None:
+    def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
         """Evaluate all blocks, and earliness in those after the start, if these are enough.
 
         With a leaking model gusts are in the instruments, and the inputs appear to precede them.
@@ -276,41 +243,25 @@ class ModelError:
         count, k = min(self._blocks, BLOCKS), self._zy.shape[-1] - EXTRA + 2
         if count <= k:
             return  # too few blocks for a scatter
-        losses = self._find(slice(count), _LATE, ratio, effect)
+        losses = self._find(slice(count), _PAIRS, ratio, effect)
         moments = losses.informative[: len(ROWS)]
         late = np.clip(losses.late[: len(ROWS)], 0.0, 1.0)
         self._late = np.where(moments, late, self._late)
         if losses.informative[len(ROWS) :].all():
             self.height = float(losses.size[len(ROWS) :, 0, 1].sum())
-        bent = self._look_at_shape(slice(count), effect, moments, known)
-        bent = np.minimum(np.abs(losses.sure[: len(ROWS), 0, 0]), bent)
         # Saturation, lateness next to it, and attenuation. An effect that grows with the
         # deflection, as by a dead band, is as large an error as one that saturates.
-        taken = bent, losses.sure[: len(ROWS), 0, 1], losses.sure[: len(ROWS), 1, 0]
-        self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=0), self.share)
+        taken = losses.sure[: len(ROWS)].reshape(len(ROWS), -1)[:, :3].copy()
+        taken[:, _SATURATION] = np.abs(taken[:, _SATURATION])
+        self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
+        found, sigma = losses.found[: len(ROWS), -1, 1], losses.sigma[: len(ROWS), -1]
+        beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
+        beyond = np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)
+        self._backlash = np.where(moments, beyond, self._backlash)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
             losses = self._find(newest, _LATE[:1], ratio, effect)
         self._follow_earliness(losses)
-
-    def _look_at_shape(
-        self, blocks: slice, effect: FloatArray, moments: BoolArray, known: BoolArray
-    ) -> FloatArray:
-        """Evaluate backlash, and return the most that saturation may be, (3,).
-
-        In the rows `known` both kinds of whitened samples must show an error: there is no feedback
-        in it then, and the less of the two counts.
-        """
-        none = np.zeros(len(self._entries))
-        whitened = (1, 2) if known.any() else (0,)
-        kinds = [self._find(blocks, _SHAPE, none, effect, kind) for kind in whitened]
-        found = np.array([losses.found[: len(ROWS), 0, 1] for losses in kinds])
-        sigma = np.array([losses.sigma[: len(ROWS), 0] for losses in kinds])
-        beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
-        beyond = np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0).min(axis=0)
-        self._backlash = np.where(moments, beyond, self._backlash)
-        bent = np.abs([losses.sure[: len(ROWS), 0, 0] for losses in kinds]).min(axis=0)
-        return np.where(known, bent, np.inf)
 
     def _follow_earliness(self, losses: Losses) -> None:
         """Take over the earliness; keep a significant one unless these losses refute it.
@@ -335,13 +286,12 @@ class ModelError:
         pairs: Sequence[tuple[int, int]],
         ratio: FloatArray,
         effect: FloatArray,
-        kind: int = 0,  # As in `_kinds`
     ) -> Losses:
         """Return the losses by pairs of the additional regressors.
 
         They are solved in units of rms and tested by their sigma.
         """
-        zf, zz, zy = (sums[kind][:, blocks] for sums in (self._zf, self._zz, self._zy))
+        zf, zz, zy = (sums[:, blocks] for sums in (self._zf, self._zz, self._zy))
         count, width = zy.shape[1:]
         own = width - EXTRA
         kept = [[*range(own), own + first, own + second] for first, second in pairs]
@@ -363,7 +313,7 @@ class ModelError:
         informative = effective > made
         lost = np.maximum(k / (count - k), made / np.where(informative, effective - made, 1.0))
         variance = (1.0 + lost[:, None, None]) * np.add.reduce(scatter**2, axis=2)
-        # Feedback looks late. That it looks like saturation, too, whitened samples must refute.
+        # Feedback looks like lateness, attenuation and backlash, not like saturation.
         answers = ratio * np.add.reduce(self._squares[:, blocks], axis=1)
         late = np.array(pairs) != _SATURATION
         spread = np.add.reduce(gain @ instruments * gain, axis=-1)
