@@ -94,10 +94,10 @@ class FlowObserver:
         self.gyro = GyroFilters()
         # Whether the attitude was replaced after the last block: it had drifted with a gyro bias
         self.realigned = False
-        # Steps that `gyro` has not seen: durations, s, rates, rad/s, and specific forces, m/s^2
-        self._steps: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+        # Steps that `gyro` has not seen: durations, s, rates, rad/s, specific forces, m/s^2, and
+        # whether the aircraft is known not to fly
+        self._steps: list[tuple[FloatArray, FloatArray, FloatArray, bool]] = []
         self._steps_time = 0.0  # s
-        self._flies = True  # During all of them
 
     @property
     def attitude(self) -> tuple[float, float]:
@@ -128,6 +128,7 @@ class FlowObserver:
         block: Block,  # Measured signals over m cells
         coefficients: FloatArray,  # (7, n) A_m; its force rows convert forces to angles
         airspeed: float | None,  # True, m/s; None if none is measured
+        *,
         grounded: bool = False,  # Whether the aircraft is known not to fly
     ) -> None:
         """Observe the attitude and flow angles over a block, and add them to it."""
@@ -142,7 +143,7 @@ class FlowObserver:
         samples = np.concatenate((rates, plan.cell_means @ block.u, force), axis=1).tolist()
         if block.restarted:
             self._steps.clear()
-            self._steps_time, self._flies = 0.0, True
+            self._steps_time = 0.0
             self.gyro.restart()
         unbiased = (rates - self.gyro.bias).tolist()
         slow = 0.0 if self.gyro.found else 0.25 * ATTITUDE_GAIN
@@ -183,24 +184,28 @@ class FlowObserver:
         block.state = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
         block.airspeed = v
         block.restarted = block.restarted or self.realigned
-        self._flies = self._flies and not grounded
-        self._find_bias(np.array(plan.times), rates, force, v)
+        self._find_bias(np.array(plan.times), rates, force, v, grounded)
 
     def _find_bias(
-        self, times: FloatArray, rates: FloatArray, force: FloatArray, airspeed: float
+        self,
+        times: FloatArray,
+        rates: FloatArray,
+        force: FloatArray,
+        airspeed: float,
+        grounded: bool,
     ) -> None:
         """Pass the steps on when they have the length of a response, and use a bias found."""
         self.realigned = False
         if not force.any():  # No accelerometer
             return
-        self._steps.append((times, rates, force))
+        self._steps.append((times, rates, force, grounded))
         self._steps_time += float(times.sum())
         if self._steps_time < RESPONSE_TIME:
             return
-        times, rates, force = map(np.concatenate, zip(*self._steps, strict=True))
-        known = self.gyro.found
-        self.gyro.add(times, rates, force, airspeed, flies=self._flies)
-        self._steps, self._steps_time, self._flies = [], 0.0, True
+        *signals, on_ground = zip(*self._steps, strict=True)
+        times, rates, force = map(np.concatenate, signals)
+        self._steps, self._steps_time, known = [], 0.0, self.gyro.found
+        self.gyro.add(times, rates, force, airspeed, flies=not any(on_ground))
         self.realigned = self.gyro.found and not known
         if self.gyro.found:
             x, y, z = self.gyro.down.tolist()

@@ -335,8 +335,13 @@ class OnlineIdentifier:
             roll,
             pitch,
             airspeed=speed.newest,
-            grounded=grounded(self.settings, self.supervisor.armed, speed.newest) or speed.silence,
+            grounded=self._grounded or speed.silence,
         )
+
+    @property
+    def _grounded(self) -> str:
+        """Reason why the aircraft is not flying; empty if there is none."""
+        return grounded(self.settings, self.supervisor.armed, self._speed.newest)
 
     @property
     def speed_believed(self) -> bool:
@@ -470,8 +475,8 @@ class OnlineIdentifier:
             self._detect_accelerometer(block)
         coefficients, leak = self._flown, self.settings.model.leak_time
         if self._flow is not None:
-            ground = grounded(self.settings, self.supervisor.armed, self._speed.newest)
-            self._flow.follow(block, coefficients, self._speed.airspeed, bool(ground))
+            on_ground = bool(self._grounded)
+            self._flow.follow(block, coefficients, self._speed.airspeed, grounded=on_ground)
             if self._flow.realigned:
                 self._drifted, self._fresh = True, None
                 longest = self.settings.actuators.longest_delay

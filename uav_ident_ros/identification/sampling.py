@@ -180,7 +180,6 @@ def join(blocks: Sequence[Block]) -> Block:
         return np.concatenate([np.zeros_like(b.u) if v is None else v for v, b in both])
 
     first = blocks[0]
-    turning = [block.by_turning for block in blocks if block.by_turning is not None]
     joined = Block(
         edge_values([block.t_ns for block in blocks]),
         first.h,
@@ -190,7 +189,7 @@ def join(blocks: Sequence[Block]) -> Block:
         first.restarted,
         of_cells([block.excitation for block in blocks]),
         of_cells([block.early for block in blocks]),
-        np.concatenate(turning) if turning else None,
+        of_cells([block.by_turning for block in blocks]),
         first.airspeed,
     )
     joined.model_state = edge_values([block.model_state for block in blocks])
