@@ -308,7 +308,7 @@ class Confirmation:
     def __init__(self) -> None:
         self._odds: FloatArray = np.zeros((len(OTHER_EFFECTS), len(ROWS)))
         self._effects = Autoregression(len(ROWS))
-        self._surprise: FloatArray = np.zeros((len(ROWS), 1))  # Last innovation of the effects
+        self._innovation: FloatArray = np.zeros((len(ROWS), 1))  # Last innovation of the effects
         self._now = 0.0  # Time since the start, s
         # Evidence of the last `INDEPENDENT_TIME` that the surface has an effect at all
         self._recent: FloatArray = np.zeros(len(ROWS))
@@ -345,8 +345,8 @@ class Confirmation:
     ) -> None:
         """Add whitened samples to the evidence."""
         new = self._effects.whiten(effect[..., None], white.dt, restarted=restarted)[..., 0]
-        before = np.hstack((self._surprise * (not restarted), new[:, :-1]))
-        self._surprise = new[:, -1:]
+        before = np.hstack((self._innovation * (not restarted), new[:, :-1]))
+        self._innovation = new[:, -1:]
         effect = effect - new * may_answer[:, None]
         late = self._effects.weights[:, :1] * before * may_answer[:, None]
         estimated = white.residual[: len(ROWS)]
