@@ -336,13 +336,13 @@ def _biased(series: Series) -> Iterator[Trial]:
             yield series.trial(aircraft, label, bank=20.0, wind=wind, sensors=sensors)
 
 
-def imperfect(series: Series, aircraft: str, wind: float, label: str) -> Trial:
+def imperfect(series: Series, aircraft: str, wind: float, label: str, **more: Any) -> Trial:
     """Return the trial of an aircraft with one of `IMPERFECTIONS`."""
     values = dict(IMPERFECTIONS[label])
     values["sensors"] = replace(SENSORS, **values.get("sensors", {}))
     if "spoil" in values:
         values["spoil"] = partial(values["spoil"], np.random.default_rng([series.seed, 13]))
-    return series.trial(aircraft, label, bank=20.0, wind=wind, **values)
+    return series.trial(aircraft, label, bank=20.0, wind=wind, **values, **more)
 
 
 def _imperfect(series: Series) -> Iterator[Trial]:
@@ -442,6 +442,23 @@ def _told_wrong(series: Series) -> Iterator[Trial]:
         for aircraft, wind in (("light_aircraft", 0.3), ("c172p", 3)):
             label = f"told x {factor:g}"
             yield series.trial(aircraft, label, 120.0, bank=20.0, wind=wind, warm=factor)
+
+
+def _warm(series: Series) -> Iterator[Trial]:
+    """Excitation from correct coefficients; the surfaces, or their record, leave the commands."""
+    for wind, travel, scale in ((0.3, 0.06, 2.5), (1.0, 0.06, 2.5), (0.3, 0.04, 1.0),
+                                (1.0, 0.04, 2.5)):  # fmt: skip
+        label = f"wind {wind:g}, travel {travel:g} rad, excitation x {scale:g}"
+        yield series.trial(
+            "light_aircraft", label, bank=20.0, wind=wind, travel=travel, scale=scale, warm=1.0
+        )
+    for aircraft, wind in (("c172p", 3), ("T37", 2), ("ultra_stick_25e", 2)):
+        label = "commands clipped in the record"
+        yield series.trial(aircraft, label, bank=20.0, wind=wind, spoil=_clipped, warm=1.0)
+    for aircraft, wind, label in (
+        ("J3Cub", 1, "backlash of 2 deg"), ("OV10", 3, "dead band of 0.7 deg"),
+    ):  # fmt: skip
+        yield imperfect(series, aircraft, wind, label, warm=1.0)
 
 
 def _mounted(matrix: ArrayLike) -> Spoil:
@@ -633,8 +650,8 @@ CLASSES = {
     make.__name__.removeprefix("_"): make
     for make in (
         _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _imperfect, _weak,
-        _glitch, _clean, _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _launched,
-        _blocked, _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed, _recorded,
+        _glitch, _clean, _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _warm,
+        _launched, _blocked, _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""

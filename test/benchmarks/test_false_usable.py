@@ -91,6 +91,15 @@ def test_a_clean_flight_is_usable_without_wrong_derivatives() -> None:
     assert "clean" in false_usable.report([outcome])
 
 
+@pytest.mark.parametrize(
+    ("seed", "name"), [(1, "wind 0.3, travel 0.06"), (2, "wind 1, travel 0.04")]
+)
+def test_surfaces_that_saturate_are_not_usable_after_a_warm_start(seed: int, name: str) -> None:
+    trials = verdict_flights.trials(["warm"], (seed,), verdict_flights.SHORT)
+    (trial,) = (trial for trial in trials if name in trial.name)
+    assert false_usable.run(trial, "").wrong < 0.02
+
+
 def test_a_flight_through_a_bag_gives_the_same_coefficients() -> None:
     trial = next(t for t in verdict_flights.trials(["clean"], (1,), 0.3) if t.replayed)
     replayed = false_usable.run(trial, "")

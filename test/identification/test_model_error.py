@@ -105,6 +105,14 @@ def test_a_saturated_lagging_or_dead_aileron_has_a_model_error(flight: dict[str,
     assert found[1:].tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize(
+    ("travel", "noise", "seed"), [(0.05, 2.0, 3), (0.05, 3.0, 1), (0.06, 2.0, 2)]
+)
+def test_a_saturation_counts_from_three_sigma_on(travel: float, noise: float, seed: int) -> None:
+    """0.43 to 0.59 of the effect are lost, by 3.3 to 3.6 sigma, of which one is subtracted."""
+    assert 0.3 < share(rolled(travel=travel, noise=noise, seed=seed))[0] < 0.43
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_surface_at_rest_has_no_model_error(seed: int) -> None:
     """A minute later the newest blocks contain only the filter's exponential decay of the input.
@@ -237,6 +245,20 @@ def test_an_aileron_that_answers_gusts_has_no_model_error(seed: int) -> None:
     assert error_model.relative_error(KNOWN_ROWS).tolist() == [0.0, 0.0, 0.0]
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_small_deflections_that_answer_gusts_are_no_dead_band(seed: int) -> None:
+    """Large deflections follow a reference: the effect seems to grow with the deflection."""
+    rng = np.random.default_rng(seed)
+    gusts = np.zeros(round(60.0 / DT))
+    for k in range(1, len(gusts)):
+        gusts[k] = 0.9 * gusts[k - 1] + rng.normal()
+    steps = np.where(rng.uniform(size=60) < 0.9, 0.0, 1.0) * rng.choice([-0.3, 0.3], 60)
+    u = np.repeat(steps, 20) - 0.01 * gusts + 0.002 * rng.normal(size=len(gusts))
+    samples = by_aileron(u, EFFECT * u + gusts, residual=gusts)
+    assert share(samples)[0] == 1.0
+    assert share(samples, np.array([0.5, 0.0, 0.0]))[0] == 0.0
+
+
 def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:
     """Gusts roll the aircraft and push it sideways, as with an accelerometer 0.5 m up."""
     rng, places = np.random.default_rng(1), layout(STRUCTURES["flight_dynamics"])
@@ -269,7 +291,7 @@ def test_an_earliness_is_refuted_by_blocks_that_would_show_it(
     """Of 0.27 s, in three sigma, they must show less than half."""
     error_model, rows = ModelError(LAYOUT), len(LAYOUT.main) + len(LAYOUT.rolling)
     _make_early(error_model, [0.0, 0.27, 0.0])
-    none, one = np.zeros((rows, 1, 2)), np.ones((rows, 1))
+    none, one = np.zeros((rows, 1, 2)), np.ones((rows, 1, 2))
     shown = Losses(
         none - [0.0, found],
         none,

@@ -61,6 +61,7 @@ _YAW = ROWS.index("rdot")
 _SATURATION, _LATENESS, _ATTENUATION, _BACKLASH = range(EXTRA)
 _LATE = (_SATURATION, _LATENESS), (_ATTENUATION, _LATENESS)
 _PAIRS = (*_LATE, (_SATURATION, _BACKLASH))  # A backlash looks late: beside lateness noise hides it
+_WITH_SATURATION = [i for i, pair in enumerate(_PAIRS) if _SATURATION in pair]
 
 
 def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
@@ -87,7 +88,7 @@ class Losses(NamedTuple):
 
     found: FloatArray  # (rows, pairs, 2) Relative to the effect, rms
     sure: FloatArray  # (rows, pairs, 2) The same, 0 where not significant
-    sigma: FloatArray  # (rows, pairs) Standard deviation of the second
+    sigma: FloatArray  # (rows, pairs, 2) Standard deviation of `found`
     rate: FloatArray  # (rows,) Rms rate of the input relative to its rms, rad/s
     size: FloatArray  # (rows, pairs, 2) Coefficients, 0 where not significant
     # (rows,) Lateness less the most that feedback may cause, by the solution of smallest sigma
@@ -249,12 +250,15 @@ class ModelError:
         self._late = np.where(moments, late, self._late)
         if losses.informative[len(ROWS) :].all():
             self.height = float(losses.size[len(ROWS) :, 0, 1].sum())
-        # Saturation, lateness next to it, and attenuation. An effect that grows with the
-        # deflection, as by a dead band, is as large an error as one that saturates.
-        taken = losses.sure[: len(ROWS)].reshape(len(ROWS), -1)[:, :3].copy()
-        taken[:, _SATURATION] = np.abs(taken[:, _SATURATION])
-        self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=1), self.share)
-        found, sigma = losses.found[: len(ROWS), -1, 1], losses.sigma[: len(ROWS), -1]
+        # Saturation, less one sigma, as the better determined solution has it, lateness and
+        # attenuation. An effect that grows with the deflection, as by a dead band, counts alike.
+        rows, sure = range(len(ROWS)), losses.sure[: len(ROWS)]
+        error = losses.sigma[: len(ROWS), _WITH_SATURATION, 0]
+        better = error.argmin(axis=1)
+        saturation = np.abs(sure[:, _WITH_SATURATION, 0][rows, better]) - error[rows, better]
+        taken = np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0]))
+        self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=0), self.share)
+        found, sigma = losses.found[: len(ROWS), -1, 1], losses.sigma[: len(ROWS), -1, 1]
         beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
         beyond = np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)
         self._backlash = np.where(moments, beyond, self._backlash)
@@ -271,7 +275,7 @@ class ModelError:
         """
         rows = slice(len(ROWS))
         rate = losses.rate[rows]
-        found, sigma = -losses.found[rows, 0, 1] / rate, losses.sigma[rows, 0] / rate
+        found, sigma = -losses.found[rows, 0, 1] / rate, losses.sigma[rows, 0, 1] / rate
         refuted = (self._early > SURE * sigma) & (self._early > 2.0 * found)
         taken = losses.informative[rows] & (
             (losses.sure[rows, 0, 1] != 0.0) | refuted | ~self._is_early
@@ -313,11 +317,10 @@ class ModelError:
         informative = effective > made
         lost = np.maximum(k / (count - k), made / np.where(informative, effective - made, 1.0))
         variance = (1.0 + lost[:, None, None]) * np.add.reduce(scatter**2, axis=2)
-        # Feedback looks like lateness, attenuation and backlash, not like saturation.
+        # Feedback looks like any of them: small deflections answer gusts, large ones a reference.
         answers = ratio * np.add.reduce(self._squares[:, blocks], axis=1)
-        late = np.array(pairs) != _SATURATION
         spread = np.add.reduce(gain @ instruments * gain, axis=-1)
-        answered = answers[:, None, None] * late * spread
+        answered = answers[:, None, None] * spread
         variance += answered
         # Without a prior this regression does not determine the input's own effect where a loop
         # moves it with the flow, or about one large deflection, as at another speed.
@@ -325,13 +328,15 @@ class ModelError:
         main = scale[range(len(ROWS)), :, self._entries[: len(ROWS)]]
         whole[: len(ROWS), :, 0] = effect[:, None] / main
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
-        sure = extra**2 > DOUBTLESS**2 * variance
+        # If one input in ten saturates, at three sigma a saturation is more likely than none.
+        level = np.where(np.array(pairs) == _SATURATION, SURE, DOUBTLESS)
+        sure = extra**2 > level**2 * variance
         size = np.where(sure, extra * scale[..., -2:], 0.0)
         # Saturation and attenuation leave different noise in the lateness beside them.
         main_effect = np.maximum(np.abs(whole[..., 0]), POWERLESS)
-        bias, error = (np.sqrt(v[..., 1]) / main_effect for v in (answered, variance))
-        better = range(len(zf)), error[:, : len(_LATE)].argmin(axis=1)
-        late = (away[..., 1] - bias)[better]
+        bias, error = (np.sqrt(v) / main_effect[..., None] for v in (answered, variance))
+        better = range(len(zf)), error[:, : len(_LATE), 1].argmin(axis=1), 1
+        late = (away - bias)[better]
         rate = scale[range(len(zf)), 0, self._entries] / scale[:, 0, -1]
         return Losses(away, np.where(sure, away, 0.0), error, rate, size, late, informative)
 

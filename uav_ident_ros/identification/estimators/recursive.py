@@ -27,6 +27,7 @@ from uav_ident_ros.identification.scales import (
     OUTLYING,
     SHORT_MEMORY,
     START_TIME,
+    SURE,
     TINY,
 )
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
@@ -97,8 +98,7 @@ class RecursiveRegression(Estimator):
         """Replace initial coefficients and prior, also those of the reference."""
         super().set_start(start)
         self.information.set_start(start)
-        inputs_known = start.known_a_priori(self._structure)[: len(ROWS), INPUT_COLUMNS]
-        self._known_a_priori = inputs_known.any(axis=1)
+        self._known_a_priori = start.known_a_priori(self._structure)[MAIN_DERIVATIVES]
         if self._reference:
             self._reference.estimator.set_start(start.weakened(self._structure))
         self.coefficients = np.where(start.free, self.coefficients, start.values)
@@ -136,8 +136,9 @@ class RecursiveRegression(Estimator):
             reference = self._reference.estimator if self._reference else self
             answering = reference._feedback.answering
         self.may_answer = answers > 0.0
-        # An input that answers gusts looks late. Without knowledge a priori either denies the row.
-        ratio = answers * self._known_a_priori
+        # An input that answers gusts looks late, or as if it saturated. Unless its derivative is
+        # known a priori, either denies the row.
+        ratio = answers * self._agrees_with_prior
         # The height has no such knowledge, and chance must not hide it: it biases the aileron.
         rolls = float(answers[0]) if self.answers[MAIN_PLACES[0]] else 0.0
         effect = self.linear[MAIN_DERIVATIVES]
@@ -159,6 +160,12 @@ class RecursiveRegression(Estimator):
         self.sure_error = self._error.lost
         self._since_sigma += samples.time
         self._solve(0.5 * samples.dt)
+
+    @property
+    def _agrees_with_prior(self) -> BoolArray:
+        """Moment rows whose main control derivative is within its informative prior, (3,)."""
+        away = np.abs(self.coefficients - self.start.values)[MAIN_DERIVATIVES]
+        return self._known_a_priori & (away <= SURE * self.start.sigma[MAIN_DERIVATIVES])
 
     def _begin_excited(self) -> None:
         """Clear the rows of unknown main derivative at the first injection.
@@ -289,7 +296,6 @@ class RecursiveRegression(Estimator):
             against[row] = True
             self.information.set_row(row, reference.information.sums_of())
             self.information.variance[:, row] = reference.information.variance[:, row]
-            self._error.forget(row)
             self._begin_changes()
             self.rejected.append((row, int(MAIN_COLUMNS[row])))
         self.changes += self.rejected
