@@ -12,6 +12,7 @@ from flying import TICK, by_ticks, identified, light_measured
 from verdict_flights import fly
 
 from uav_ident_ros.identification.gyro import HYPOTHESES, GyroFilters
+from uav_ident_ros.identification.lift import LiftSigns
 from uav_ident_ros.identification.scales import DOUBTLESS, RESPONSE_TIME, SURE
 from uav_ident_ros.identification.structure import FloatArray
 
@@ -149,6 +150,28 @@ def test_rotors_fly_backwards_as_well() -> None:
     measured = light_measured(30.0, bank=20.0)
     backwards = identified(measured, structure="augmented", imu__rpy=(0.0, 0.0, math.pi))
     assert not backwards[0].plausibility.noted
+
+
+@pytest.mark.parametrize("arm", [-0.3, 0.3])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_correction_of_a_lever_arm_is_no_evidence_against_the_lift(
+    arm: float, seed: int
+) -> None:
+    """In calm air alone gyro noise is in both: in the velocity, and in the corrected force."""
+    rng = np.random.default_rng(seed)
+    count, step, weight = 60 * 100, 0.01, np.array([0.0, 0.0, 9.80665])
+    edges = rng.normal(scale=0.01, size=(count + 1, 3))
+    rates, turning = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges, axis=0) / step
+    force = rng.normal(scale=0.05, size=(count, 3)) - weight
+    force[:, 1:] -= arm * turning[:, :0:-1] * (1.0, -1.0)
+    largest = []
+    for corrected in (False, True):
+        lift = LiftSigns()
+        gravity = np.tile(weight, (count, 1))
+        lift.add(np.full(count, step), rates, force, gravity, 20.0, corrected=corrected)
+        largest.append(abs(lift.sigmas).max())
+    assert largest[0] > DOUBTLESS
+    assert largest[1] < SURE
 
 
 # --- on the ground ------------------------------------------------------------------------------

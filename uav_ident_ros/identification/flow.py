@@ -94,9 +94,9 @@ class FlowObserver:
         self.gyro = GyroFilters()
         # Whether the attitude was replaced after the last block: it had drifted with a gyro bias
         self.realigned = False
-        # Steps that `gyro` has not seen: durations, s, rates, rad/s, specific forces, m/s^2, and
-        # whether the aircraft is known not to fly
-        self._steps: list[tuple[FloatArray, FloatArray, FloatArray, bool]] = []
+        # Steps that `gyro` has not seen: durations, s, rates, rad/s, specific forces, m/s^2;
+        # whether they show the axes, and whether the forces have a correction for a lever arm
+        self._steps: list[tuple[FloatArray, FloatArray, FloatArray, bool, bool]] = []
         self._steps_time = 0.0  # s
 
     @property
@@ -129,7 +129,7 @@ class FlowObserver:
         coefficients: FloatArray,  # (7, n) A_m; its force rows convert forces to angles
         airspeed: float | None,  # True, m/s; None if none is measured
         *,
-        grounded: bool = False,  # Whether the aircraft is known not to fly
+        shows_axes: bool = True,  # Whether the flight may show the axes of the Imu
     ) -> None:
         """Observe the attitude and flow angles over a block, and add them to it."""
         v = self._reference
@@ -184,7 +184,8 @@ class FlowObserver:
         block.state = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
         block.airspeed = v
         block.restarted = block.restarted or self.realigned
-        self._find_bias(np.array(plan.times), rates, force, v, grounded)
+        corrected = block.by_turning is not None
+        self._find_bias(np.array(plan.times), rates, force, v, shows_axes, corrected)
 
     def _find_bias(
         self,
@@ -192,20 +193,21 @@ class FlowObserver:
         rates: FloatArray,
         force: FloatArray,
         airspeed: float,
-        grounded: bool,
+        shows_axes: bool,
+        corrected: bool,
     ) -> None:
         """Pass the steps on when they have the length of a response, and use a bias found."""
         self.realigned = False
         if not force.any():  # No accelerometer
             return
-        self._steps.append((times, rates, force, grounded))
+        self._steps.append((times, rates, force, shows_axes, corrected))
         self._steps_time += float(times.sum())
         if self._steps_time < RESPONSE_TIME:
             return
-        *signals, on_ground = zip(*self._steps, strict=True)
+        *signals, shown, by_gyro = zip(*self._steps, strict=True)
         times, rates, force = map(np.concatenate, signals)
         self._steps, self._steps_time, known = [], 0.0, self.gyro.found
-        self.gyro.add(times, rates, force, airspeed, flies=not any(on_ground))
+        self.gyro.add(times, rates, force, airspeed, shows_axes=all(shown), corrected=any(by_gyro))
         self.realigned = self.gyro.found and not known
         if self.gyro.found:
             x, y, z = self.gyro.down.tolist()

@@ -114,7 +114,8 @@ class GyroFilters:
         force: FloatArray,  # (k, 3) Specific force, m/s^2, FRD
         airspeed: float,  # True, m/s
         *,
-        flies: bool = True,  # If not, nothing here shows the axes
+        shows_axes: bool = True,  # Whether the flight may show the axes
+        corrected: bool = False,  # Whether the force has a correction for a lever arm
     ) -> None:
         """Add a block of samples, as long as the path of flight takes to follow the nose."""
         time, speed = float(steps.sum()), (airspeed * _AHEAD)[..., None]
@@ -131,8 +132,8 @@ class GyroFilters:
         shares = np.stack([steps / time, weights / (weight + TINY)])
         innovation = np.einsum("sk,hki->shi", shares, upwards) + GRAVITY * self._down
         gravity = GRAVITY * (self._down[0] @ turns[0])
-        if flies:
-            self._lift.add(steps, omega[0], force, gravity, airspeed)
+        if shows_axes:
+            self._lift.add(steps, omega[0], force, gravity, airspeed, corrected=corrected)
         # The rotation vector, initial axes, per bias, s
         lever = np.cumsum(turns * steps[:, None, None], axis=1)
         by_bias = speed[..., None] * (turns @ _ALONG) - cross_matrices(upwards) @ lever
@@ -140,7 +141,7 @@ class GyroFilters:
         by_attitude = np.broadcast_to(GRAVITY * cross_matrices(self._down), by_bias.shape)
         slope = np.concatenate([by_attitude, by_bias], axis=3)
         scaled = innovation[0] / FORCE_SIGMA, slope[0] / FORCE_SIGMA
-        self._judge(*scaled, 1.0 - time / LONG_MEMORY, flies=flies)
+        self._judge(*scaled, 1.0 - time / LONG_MEMORY, shows_axes=shows_axes)
         weighted = weight / FORCE_SIGMA**2 * slope[1].swapaxes(1, 2)
         information = self._information + weighted @ slope[1]
         error = np.linalg.solve(information, weighted @ innovation[1, ..., None])[..., 0]
@@ -166,17 +167,17 @@ class GyroFilters:
         self.down = _unit(self._down[0] - np.cross(covariance[:3, 3:] @ missing, self._down[0]))
 
     def _judge(
-        self, innovation: FloatArray, slope: FloatArray, keep: float, *, flies: bool
+        self, innovation: FloatArray, slope: FloatArray, keep: float, *, shows_axes: bool
     ) -> None:
         """Add the squares of the predicted innovations; their sum so far counts by `keep`.
 
-        Without flight every hypothesis gets those of the configured axes.
+        Where they are not shown, every hypothesis gets those of the configured axes.
         """
         spread = np.linalg.solve(self._information, slope.swapaxes(1, 2))
         covariance = np.eye(3) + slope @ spread
         scaled = np.linalg.solve(covariance, innovation[..., None])[..., 0]
         squares = (innovation * scaled).sum(axis=1) + np.linalg.slogdet(covariance)[1]
-        self._squares = keep * self._squares + (squares if flies else squares[0])
+        self._squares = keep * self._squares + (squares if shows_axes else squares[0])
         self._count = keep * self._count + 3.0
 
     def _turn(

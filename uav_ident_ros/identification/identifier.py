@@ -335,13 +335,8 @@ class OnlineIdentifier:
             roll,
             pitch,
             airspeed=speed.newest,
-            grounded=self._grounded or speed.silence,
+            grounded=grounded(self.settings, self.supervisor.armed, speed.newest) or speed.silence,
         )
-
-    @property
-    def _grounded(self) -> str:
-        """Reason why the aircraft is not flying; empty if there is none."""
-        return grounded(self.settings, self.supervisor.armed, self._speed.newest)
 
     @property
     def speed_believed(self) -> bool:
@@ -475,8 +470,8 @@ class OnlineIdentifier:
             self._detect_accelerometer(block)
         coefficients, leak = self._flown, self.settings.model.leak_time
         if self._flow is not None:
-            on_ground = bool(self._grounded)
-            self._flow.follow(block, coefficients, self._speed.airspeed, grounded=on_ground)
+            shows_axes = not self.supervisor.gates.closed
+            self._flow.follow(block, coefficients, self._speed.airspeed, shows_axes=shows_axes)
             if self._flow.realigned:
                 self._drifted, self._fresh = True, None
                 longest = self.settings.actuators.longest_delay

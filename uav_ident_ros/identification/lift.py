@@ -33,6 +33,8 @@ class LiftSigns:
         force: FloatArray,  # (k, 3) Specific force, m/s^2, FRD
         gravity: FloatArray,  # (k, 3) m/s^2, FRD
         airspeed: float,  # True, m/s
+        *,
+        corrected: bool = False,  # Whether the force has a correction for a lever arm
     ) -> None:
         """Add samples that follow each other, in blocks of about `INDEPENDENT_TIME`."""
         across = force[:, 1:]
@@ -40,11 +42,22 @@ class LiftSigns:
         velocity_rate = across + gravity[:, 1:] + turning
         change = (velocity_rate + turning) * steps[:, None]
         velocity = np.cumsum(change, axis=0) - 0.5 * change
+        between = velocity
+        if corrected:
+            # Gyro noise is in the velocity and, as its difference, in the force. In the mean of the
+            # velocities a step before and a step after it is the same at both ends of the step.
+            edges = np.pad(np.cumsum(change, axis=0), ((2, 1), (0, 0)), mode="edge")
+            edges[:2] = 0.0
+            between = 0.5 * (edges[:-3] + edges[3:])
         parts = max(1, round(float(steps.sum()) / INDEPENDENT_TIME))
         for block in np.array_split(np.arange(len(steps)), parts):
             time = np.cumsum(steps[block])
             line, _ = np.linalg.qr(np.column_stack((np.ones(len(block)), time)))
-            v, f = (a[block] - line @ (line.T @ a[block]) for a in (velocity, across))
+            # Without mean and slope this leaves the noise of four steps, with the other sign than
+            # that of every step in `velocity`.
+            share = 2.0 * line.shape[1] / len(block)
+            unbiased = between[block] + share * (velocity - between)[block]
+            v, f = (a - line @ (line.T @ a) for a in (unbiased, across[block]))
             power = (f * v).sum(axis=0)
             keep = 1.0 - float(time[-1]) / LONG_MEMORY
             fades = np.array([[keep], [keep * keep]])

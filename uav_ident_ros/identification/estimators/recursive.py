@@ -165,7 +165,8 @@ class RecursiveRegression(Estimator):
     def _agrees_with_prior(self) -> BoolArray:
         """Moment rows whose main control derivative is within its informative prior, (3,)."""
         away = np.abs(self.coefficients - self.start.values)[MAIN_DERIVATIVES]
-        return self._known_a_priori & (away <= SURE * self.start.sigma[MAIN_DERIVATIVES])
+        holds = away <= SURE * self.start.sigma[MAIN_DERIVATIVES]
+        return np.asarray(self._known_a_priori & holds)
 
     def _begin_excited(self) -> None:
         """Clear the rows of unknown main derivative at the first injection.
