@@ -149,6 +149,27 @@ def test_an_estimated_lag_is_used_where_the_delay_is_estimated() -> None:
     assert (found.delay, found.lag) == (0.0, 0.0)
 
 
+@pytest.mark.parametrize(("lag", "configured"), [(0.03, 0.09), (0.05, 0.12)])
+def test_without_flow_angles_an_injected_signal_shows_a_wrong_lag_of_the_motors(
+    lag: float, configured: float
+) -> None:
+    """A lag that is too long multiplies the control derivatives by 1.5."""
+    hover = hovering(lag, 0.1, configured, actuators__delay=0.012)
+    learned, true = hover.coefficient_set(), Body().derivatives()
+    for row, name in enumerate(("pdot/da", "qdot/de")):
+        place = hover.structure.index(name)
+        error = abs(learned.values[place] - true[name])
+        assert 0.4 * abs(true[name]) < error < 2.0 * learned.sigma[place]
+        assert f"'actuators.time_constant' to {lag:.2f}" in hover.setup_doubts[row]
+
+
+def test_a_configured_lag_counts_as_right_until_it_is_contradicted() -> None:
+    """In gusts the injected signal leaves the lag unsure by 30 ms."""
+    m = light_measured(45.0, bank=20.0, gust=0.8, delay=0.02)
+    identifier, (*_, last) = identified(m, stream=with_injected(m))
+    assert identifier.delays.estimate.from_injected and last.usable, last.reason
+
+
 @pytest.mark.parametrize(("lag", "seconds", "usable"), [(0.0, 45.0, True), (0.07, 60.0, False)])
 def test_only_a_long_unseparated_lag_makes_the_rows_unusable(
     lag: float, seconds: float, usable: bool

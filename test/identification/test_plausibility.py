@@ -437,10 +437,10 @@ def test_sigma_covers_the_loss_by_an_unseparated_lag_without_damping() -> None:
     values[rudder] = -9.0
     sure = DelayEstimate(delay=0.1, sigma=0.01, rise=9.0, hidden=0.1)
     lost, setup = np.array([0.0, 0.3, 0.0, 0.0]), SetupErrors(structure, 20.0)
-    setup.look(values, sure, 0.1, 0.0, lambda: lost, 0.0, lag_is_configured=False)
+    setup.look(values, sure, 0.1, 0.0, lambda _: lost, 0.0, lag_is_configured=False)
     assert setup.widened(np.full(values.shape, 0.1))[rudder] == pytest.approx(2.7, rel=0.01)
     assert "servo lag are not separated" in setup.denied(values, 4.0)[2]
-    setup.look(values, sure, 0.1, 0.0, lambda: lost, 0.0, lag_is_configured=True)
+    setup.look(values, sure, 0.1, 0.0, lambda _: lost, 0.0, lag_is_configured=True)
     assert setup.widened(np.full(values.shape, 0.1))[rudder] == 0.1
 
 
@@ -453,10 +453,28 @@ def test_with_a_known_sum_the_lag_error_counts_to_second_order() -> None:
     for total, missed in ((0.03, 0.0), (0.05, 0.02), (0.01, -0.02)):
         setup = SetupErrors(structure, 20.0)
         estimate = replace(estimated, total=total)
-        setup.look(values, estimate, 0.03, 0.0, lambda: np.zeros(4), 0.0, lag_is_configured=False)
+        setup.look(values, estimate, 0.03, 0.0, lambda _: np.zeros(4), 0.0, lag_is_configured=False)
         share = damping * abs(missed) + 0.5 * (damping * estimated.hidden) ** 2
         widened = setup.widened(np.full(values.shape, 1e-6))[rudder]
         assert widened == pytest.approx(9.0 * share, rel=1e-3)
+
+
+@pytest.mark.parametrize(("lag", "share"), [(0.03, 0.0), (0.07, 0.05), (0.10, 0.5)])
+def test_of_a_configured_lag_the_error_beyond_chance_counts(lag: float, share: float) -> None:
+    """Below two sigma it counts to second order, beyond to first, as a lag that is too long."""
+    structure = STRUCTURES["augmented"]
+    values, roll, damping = np.zeros((3, structure.size)), structure.index("pdot/da"), 5.0
+    values[roll], values[structure.index("pdot/p")] = 60.0, -damping
+    sigma = 0.04 if lag < 0.1 else 0.01
+    estimate = DelayEstimate(0.02, 0.01, 0.12, 0.01, 9.0, lag, lag_sigma=sigma, hidden=0.1)
+    setup = SetupErrors(structure, 20.0)
+    setup.look(values, estimate, 0.02, 0.0, lambda _: np.zeros(4), 0.0, lag_is_configured=True)
+    beyond = math.sqrt(max(lag**2 - sigma**2, 0.0))
+    expected = 0.5 * (damping * beyond) ** 2 if lag < 0.1 else damping * lag
+    assert expected == pytest.approx(share, abs=0.04)
+    widened = setup.widened(np.full(values.shape, 1e-6))[roll]
+    assert widened == pytest.approx(60.0 * expected, rel=1e-3, abs=1e-5)
+    assert ("'actuators.time_constant' to 0.100" in setup.denied(values, 4.0)[0]) == (lag == 0.1)
 
 
 @pytest.mark.parametrize(
@@ -470,7 +488,7 @@ def test_of_a_possible_delay_error_the_square_beyond_its_variance_counts(
     values, roll = np.zeros((5, structure.size)), structure.index("pdot/da")
     values[roll], values[structure.index("pdot/p")] = 60.0, -10.0
     estimate, setup = DelayEstimate(delay, 0.01, rise=rise), SetupErrors(structure, 20.0)
-    setup.look(values, estimate, 0.0, 0.0, lambda: np.zeros(4), 0.0, lag_is_configured=True)
+    setup.look(values, estimate, 0.0, 0.0, lambda _: np.zeros(4), 0.0, lag_is_configured=True)
     widened = setup.widened(np.full(values.shape, 1e-6))[roll]
     assert widened == pytest.approx(60.0 * share, abs=1e-5)
     assert not any(setup.denied(values, 4.0))
@@ -497,7 +515,7 @@ def test_a_negative_delay_makes_the_row_with_a_lag_in_use_unusable(
     values, roll, lag = np.zeros((5, structure.size)), structure.index("pdot/da"), 0.06
     values[roll], values[structure.index("pdot/p")] = 60.0, -10.0
     estimate, setup = DelayEstimate(delay, 0.01, rise=9.0), SetupErrors(structure, 20.0)
-    setup.look(values, estimate, 0.0, lag, lambda: np.zeros(4), 0.0, lag_is_configured=True)
+    setup.look(values, estimate, 0.0, lag, lambda _: np.zeros(4), 0.0, lag_is_configured=True)
     assert ("lower 'actuators.time_constant'" in setup.denied(values, 4.0)[0]) == denied
     widened = setup.widened(np.full(values.shape, 1e-6))[roll]
     assert widened > 60.0 * 10.0 * abs(delay) if denied else widened < 0.1 * 60.0

@@ -142,6 +142,11 @@ class DelayEstimate:
         square = (self.delay - delay) ** 2 - self.sigma**2
         return math.sqrt(max(square, 0.0)) if self.sure else 0.0
 
+    def lag_beyond(self, lag: float) -> float:
+        """Return the rms of a lag's error that injected signals show beyond their own error, s."""
+        square = (self.lag - lag) ** 2 - self.lag_sigma**2
+        return min(math.sqrt(max(square, 0.0)), LAGS[-1])
+
     def excess(self, lag: float) -> float:
         """Return the rms part of a servo lag in use that may be too much, s.
 
@@ -171,6 +176,22 @@ class DelayEstimate:
         return (
             f"the inputs act {1e3 * abs(off):.0f} ms {word} than 'actuators.delay' and "
             f"'actuators.time_constant' say: {cure}"
+        )
+
+    def lag_contradiction(self, lag: float, *, configured: bool) -> str:
+        """Return a message with the error of a servo lag in use, s, and its cure."""
+        if configured:
+            delay = max(self.total - self.lag, 0.0)
+            return (
+                f"the actuators have a lag of {1e3 * self.lag:.0f} ms, not of {1e3 * lag:.0f}: set "
+                f"'actuators.time_constant' to {self.lag:.3f} and 'actuators.delay' to {delay:.3f}"
+            )
+        cure = "excite the aircraft (~/excite)"
+        if self.from_injected:
+            cure = "go on with the excitation"
+        return (
+            f"delay and servo lag are not separated: {1e3 * self.hidden:.0f} ms of the delay found "
+            f"may be lag; set 'actuators.time_constant', or {cure}"
         )
 
 
@@ -260,11 +281,11 @@ class DelayBank:
             return np.zeros((len(self.delays), 3))
         return np.asarray(np.exp(_logarithms(np.stack(self._errors))[:, 0].mean(axis=0)))
 
-    def lost(self) -> FloatArray:
-        """Return the share of each input, (4,), that a lag in the delay's place may remove."""
+    def lost(self, lag: float) -> FloatArray:
+        """Return the share of each input, (4,), that a lag, s, in the delay's place removes."""
         share = 1.0 - np.sqrt(self._power / np.maximum(self._power[0], np.finfo(float).tiny))
         share[:, self._power[0] == 0.0] = 0.0
-        return np.array([np.interp(self.estimate.hidden, LAGS, column) for column in share.T])
+        return np.array([np.interp(lag, LAGS, column) for column in share.T])
 
     def add(
         self,

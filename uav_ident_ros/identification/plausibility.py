@@ -534,8 +534,8 @@ class SetupErrors:
         estimate: DelayEstimate,  # Estimated delay
         delay: float,  # Delay in use, s
         lag: float,  # Servo lag in use, s
-        # Share of each input, (4,), that the lag hidden in the delay attenuates
-        lost: Callable[[], FloatArray],
+        # Share of each input, (4,), that a lag hidden in the delay attenuates, for its length, s
+        lost: Callable[[float], FloatArray],
         height: float,  # Of the accelerometer above its configured position, m; 0 for none
         *,
         lag_is_configured: bool,  # If not, the delay found may stand for another lag
@@ -544,14 +544,20 @@ class SetupErrors:
     ) -> None:
         """Update the biases with the present estimates."""
         self._found = []
-        if not self._structure.has_flow:
+        if not (self._structure.has_flow or estimate.from_injected):
             return
         late = max(abs(estimate.off(delay)), estimate.excess(lag))
         if error := late or estimate.beyond(delay):
             reason = estimate.contradiction(delay, held())
             self._found.append(SetupError(self._delay_error(values, error), reason))
-        if not late and estimate.sure and (estimate.from_injected or not lag_is_configured):
-            self._found.append(self._lag_error(values, estimate, delay + lag, lost()))
+        hidden = estimate.lag_beyond(lag) if lag_is_configured else estimate.hidden
+        reason = estimate.lag_contradiction(lag, configured=lag_is_configured)
+        if estimate.from_injected and (wrong := estimate.lag_off(lag)):
+            self._found.append(SetupError(self._delay_error(values, wrong), reason))
+        elif hidden and not late and estimate.sure:
+            in_use = estimate.total if lag_is_configured else delay + lag
+            errors = self._lag_error(values, estimate, in_use, hidden, lost(hidden))
+            self._found.append(SetupError(errors, reason))
         if height:
             self._found.append(self._height_error(values, height))
 
@@ -573,29 +579,28 @@ class SetupErrors:
         return reasons
 
     def _lag_error(
-        self, values: FloatArray, estimate: DelayEstimate, in_use: float, lost: FloatArray
-    ) -> SetupError:
-        """Return the bias by a servo lag T that is modelled as delay; `in_use` is their sum, s.
+        self,
+        values: FloatArray,
+        estimate: DelayEstimate,
+        in_use: float,  # Sum of delay and lag in use, s
+        hidden: float,  # Lag in the place of delay, s
+        lost: FloatArray,  # (4,) Share of each input that it attenuates
+    ) -> FloatArray:
+        """Return the bias of the moment rows, (3, n), by a servo lag T that is modelled as delay.
 
         A delay has the phase of the lag, but not its attenuation: ``1 / (1 + a T)`` where
         damping compensates for it, else the share `lost` of the input. If an injected signal has
         determined the sum of delay and lag, lag and delay differ by ``(a T)^2 / 2`` only. The error
         of the sum in use then adds a term of first order.
         """
-        hidden, damped = estimate.hidden, damping(self._structure, values, self._airspeed)
-        share, missed, cure = np.abs(hidden * damped), 0.0, "or excite the aircraft (~/excite)"
+        damped = damping(self._structure, values, self._airspeed)
+        share, missed = np.abs(hidden * damped), 0.0
         if estimate.from_injected:
-            share, cure = 0.5 * share**2, "or go on with the excitation"
-            missed = estimate.total - in_use
+            share, missed = 0.5 * share**2, estimate.total - in_use
         errors = share[:, None] * np.abs(values[: len(ROWS)])
         inputs = errors[:, INPUT_COLUMNS]
         np.maximum(inputs, lost * np.abs(values[: len(ROWS), INPUT_COLUMNS]), out=inputs)
-        errors += self._delay_error(values, missed)
-        return SetupError(
-            errors,
-            f"delay and servo lag are not separated: {1e3 * hidden:.0f} ms of the delay found may "
-            f"be lag; set 'actuators.time_constant', {cure}",
-        )
+        return np.asarray(errors + self._delay_error(values, missed))
 
     def _delay_error(self, values: FloatArray, time: float) -> FloatArray:
         """Return the bias of the moment rows, (3, n), by an input that is late by a time, s.
