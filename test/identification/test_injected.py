@@ -6,7 +6,7 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
-from flying import Message, identified, light_measured, run, since, with_injected
+from flying import PEAKS, Message, identified, light_measured, run, since, with_injected
 from light_aircraft import TRUTH
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
 
@@ -248,3 +248,12 @@ def test_without_injected_signals_the_plain_estimate_is_published() -> None:
 def test_the_share_of_the_whitened_estimate_is_that_of_the_injected_information() -> None:
     share = rolled(0, 20.0, after=60.0)[2]
     assert share == pytest.approx(0.25, rel=0.15)
+
+
+def test_an_autopilots_answers_do_not_hide_that_an_aileron_saturates() -> None:
+    """It was usable with a third of its effect: the injected signal alone sees a straight line."""
+    commanded = {name: 2.5 * peak for name, peak in PEAKS.items()}
+    m = light_measured(60.0, commanded, bank=20.0, gust=0.5, travel=0.04)
+    _, (*_, last) = identified(m, stream=with_injected(m))
+    assert not last.usable_rows[0]
+    assert "pdot follows da badly" in last.reason

@@ -268,6 +268,12 @@ class RowSamples:
         rows.z[:] *= share
         return rows
 
+    def by_regressors(self) -> RowSamples:
+        """Return the samples with the regressors as instruments, as for least squares."""
+        rows = RowSamples(self.signals.copy(), self.dt)
+        rows.z[:] = rows.f
+        return rows
+
 
 @lru_cache(maxsize=64)
 def _parts(m: int, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -101,7 +101,7 @@ class ModelError:
     """Model error of the main input of each moment row, and height of the accelerometer."""
 
     def __init__(self, layout: Layout) -> None:
-        self._entries = [*layout.main, *layout.rolling]
+        self._layout, self._entries = layout, [*layout.main, *layout.rolling]
         # Samples, and their weights (3,) times dt
         self._gathered: list[tuple[RowSamples, FloatArray]] = []
         # Of the newest blocks, cyclically, sums of z f^T, z z^T, z y and the squared residuals
@@ -117,6 +117,9 @@ class ModelError:
         # Largest loss by saturation, lateness or attenuation, relative to the input's effect, rms,
         # at most 1; 0 where not significant
         self.share: FloatArray = np.zeros(len(ROWS))
+        # Saturation, and the same by least squares once signals were injected
+        self.saturation: FloatArray = np.zeros(len(ROWS))
+        self._least_squares: ModelError | None = None
         # Loss by a backlash beyond its own standard deviation, rms, significant or not
         self._backlash: FloatArray = np.zeros(len(ROWS))
         # Earliness of each row, its standard deviation, s, and the input's rate as in `Losses`
@@ -131,7 +134,9 @@ class ModelError:
     @property
     def lost(self) -> FloatArray:
         """Loss that sigma contains, relative to the input's effect, (3,)."""
-        return np.maximum(self.share, self._backlash)
+        lost = np.maximum(self.share, self._backlash)
+        beside = self._least_squares
+        return lost if beside is None else np.maximum(lost, beside.saturation)
 
     def relative_error(self, known: BoolArray, rotors: bool = False) -> FloatArray:
         """Return the most likely error of each row, (3,): `lost`, lateness or earliness.
@@ -162,13 +167,17 @@ class ModelError:
         self._gathered.clear()
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
+        if self._least_squares:
+            self._least_squares.begin_anew(row)
 
     def forget(self, row: int) -> None:
         """Clear the sums and errors of a row whose derivatives are learned anew."""
         self.begin_anew(row)
-        for errors in (self.share, self._early, self._late, self._backlash):
+        for errors in (self.share, self.saturation, self._early, self._late, self._backlash):
             errors[row] = 0.0
         self._early_sigma[row] = np.inf
+        if self._least_squares:
+            self._least_squares.forget(row)
 
     def add(
         self,
@@ -184,8 +193,20 @@ class ModelError:
         # Whether the instruments' model is known. At the start it leaks, and gusts are in them.
         # With enough blocks without leak, those of the start are left out.
         settled: bool = True,
+        injected: bool = False,  # Whether the instruments are the response to injected signals
     ) -> None:
-        """Add samples; they are evaluated in blocks of `INDEPENDENT_TIME`."""
+        """Add samples; they are evaluated in blocks of `INDEPENDENT_TIME`.
+
+        Through a saturation the injected signal alone looks linear, if an autopilot moves the input
+        far beyond: its answers act as a dither. The whole input shows the saturation, by least
+        squares. The part of `u|u|` that is not linear in normally distributed signals has no
+        correlation with a gust that they answer (Stein's lemma).
+        """
+        if injected and self._least_squares is None:
+            self._least_squares = ModelError(self._layout)
+        if self._least_squares:
+            own = samples.by_regressors()
+            self._least_squares.add(own, weight, ratio, roll_ratio, effect, restarted=restarted)
         if restarted or not weight.any():
             self._gathered.clear()
             self._behind = None
@@ -256,8 +277,9 @@ class ModelError:
         error = losses.sigma[: len(ROWS), _WITH_SATURATION, 0]
         better = error.argmin(axis=1)
         saturation = np.abs(sure[:, _WITH_SATURATION, 0][rows, better]) - error[rows, better]
-        taken = np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0]))
-        self.share = np.where(moments, np.clip(taken, 0.0, 1.0).max(axis=0), self.share)
+        taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
+        self.share = np.where(moments, taken.max(axis=0), self.share)
+        self.saturation = np.where(moments, taken[0], self.saturation)
         found, sigma = losses.found[: len(ROWS), -1, 1], losses.sigma[: len(ROWS), -1, 1]
         beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
         beyond = np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)

@@ -146,7 +146,10 @@ class RecursiveRegression(Estimator):
         restarted = samples.restarted
         # In quiet flight the samples contain only gusts and an autopilot's answers.
         looked = weight * self.learning
-        self._error.add(rows, looked, ratio, rolls, effect, restarted=restarted, settled=settled)
+        self._error.add(
+            rows, looked, ratio, rolls, effect,
+            restarted=restarted, settled=settled, injected=samples.injected,
+        )  # fmt: skip
         known_now = known_inputs(self.coefficients, self.sigma, self._error.lost)
         self.model_error = self._error.relative_error(known_now, self._rotors)
         # Where gusts alone make the aircraft roll, their side force looks like a height.
