@@ -83,6 +83,11 @@ _PRECISION = (
 _LEAST_SLOPES = 0.1 * np.array([SIDE_FORCE_SLOPE, LIFT_SLOPE])
 
 
+def _beyond(error: float, sigma: float) -> float:
+    """Return the rms of an error beyond the standard deviation of its estimate."""
+    return math.sqrt(max(error**2 - sigma**2, 0.0))
+
+
 @dataclass(frozen=True)
 class DelayEstimate:
     """Estimate of the transport delay and servo lag, with its uncertainty."""
@@ -139,13 +144,15 @@ class DelayEstimate:
 
     def beyond(self, delay: float) -> float:
         """Return the rms of a delay's error that a sure estimate shows beyond its own error, s."""
-        square = (self.delay - delay) ** 2 - self.sigma**2
-        return math.sqrt(max(square, 0.0)) if self.sure else 0.0
+        return _beyond(self.delay - delay, self.sigma) if self.sure else 0.0
 
     def lag_beyond(self, lag: float) -> float:
         """Return the rms of a lag's error that injected signals show beyond their own error, s."""
-        square = (self.lag - lag) ** 2 - self.lag_sigma**2
-        return min(math.sqrt(max(square, 0.0)), LAGS[-1])
+        return min(_beyond(self.lag - lag, self.lag_sigma), LAGS[-1])
+
+    def total_beyond(self, total: float) -> float:
+        """Return the same of a sum of delay and lag, s."""
+        return _beyond(self.total - total, self.total_sigma)
 
     def excess(self, lag: float) -> float:
         """Return the rms part of a servo lag in use that may be too much, s.

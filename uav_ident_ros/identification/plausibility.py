@@ -550,13 +550,15 @@ class SetupErrors:
         if error := late or estimate.beyond(delay):
             reason = estimate.contradiction(delay, held())
             self._found.append(SetupError(self._delay_error(values, error), reason))
-        hidden = estimate.lag_beyond(lag) if lag_is_configured else estimate.hidden
-        reason = estimate.lag_contradiction(lag, configured=lag_is_configured)
-        if estimate.from_injected and (wrong := estimate.lag_off(lag)):
-            self._found.append(SetupError(self._delay_error(values, wrong), reason))
-        elif hidden and not late and estimate.sure:
-            in_use = estimate.total if lag_is_configured else delay + lag
-            errors = self._lag_error(values, estimate, in_use, hidden, lost(hidden))
+        hidden, missed = estimate.hidden, estimate.total - delay - lag
+        if lag_is_configured:
+            hidden, missed = estimate.lag_beyond(lag), estimate.total_beyond(delay + lag)
+        if not estimate.from_injected:
+            missed = 0.0
+        applies = estimate.from_injected if lag_is_configured else not late
+        if applies and estimate.sure and (hidden or missed):
+            errors = self._lag_error(values, estimate, hidden, missed, lost(hidden))
+            reason = estimate.lag_contradiction(lag, configured=lag_is_configured)
             self._found.append(SetupError(errors, reason))
         if height:
             self._found.append(self._height_error(values, height))
@@ -582,9 +584,9 @@ class SetupErrors:
         self,
         values: FloatArray,
         estimate: DelayEstimate,
-        in_use: float,  # Sum of delay and lag in use, s
         hidden: float,  # Lag in the place of delay, s
-        lost: FloatArray,  # (4,) Share of each input that it attenuates
+        missed: float,  # Error of the sum of delay and lag in use, s
+        lost: FloatArray,  # (4,) Share of each input that the hidden lag attenuates
     ) -> FloatArray:
         """Return the bias of the moment rows, (3, n), by a servo lag T that is modelled as delay.
 
@@ -594,9 +596,9 @@ class SetupErrors:
         of the sum in use then adds a term of first order.
         """
         damped = damping(self._structure, values, self._airspeed)
-        share, missed = np.abs(hidden * damped), 0.0
+        share = np.abs(hidden * damped)
         if estimate.from_injected:
-            share, missed = 0.5 * share**2, estimate.total - in_use
+            share = 0.5 * share**2
         errors = share[:, None] * np.abs(values[: len(ROWS)])
         inputs = errors[:, INPUT_COLUMNS]
         np.maximum(inputs, lost * np.abs(values[: len(ROWS), INPUT_COLUMNS]), out=inputs)
