@@ -128,7 +128,8 @@ def run(trial: Trial, structure_name: str) -> Outcome:
         assert isinstance(flown, Measurements)
         estimates = _replay(flown, named, initial)
     else:
-        track = cases.identify(case, values, initial=initial)
+        given = flight.injected if trial.published and flight is not None else ()
+        track = cases.identify(case, values, initial=initial, given=given)
         estimates, losing = track.estimates, track.losing
     time = np.array([(e.t_ns - int(case.samples.imu_t_ns[0])) * 1e-9 for e in estimates])
     found = np.array([e.coefficients for e in estimates])

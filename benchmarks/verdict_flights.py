@@ -94,6 +94,7 @@ class Trial:
     warm: float = 0.0
     feedback: bool = False  # Without excitation: coverage is counted apart
     replayed: bool = False  # Whether the flight is written as a bag and replayed
+    published: bool = False  # Whether the injected signal is on the topic `excitation`
     names: str = ""  # Regular expression of the reason that must be reported; for mistakes only
 
 
@@ -216,7 +217,7 @@ class Series:
         return Trial(self.kind, f"{Path(aircraft).stem}, {label}", self.seed, flight, **own)
 
 
-OPTIONAL = ("settings", "warm", "feedback", "replayed", "names")
+OPTIONAL = ("settings", "warm", "feedback", "replayed", "published", "names")
 """Optional fields of `Trial`."""
 
 
@@ -385,6 +386,27 @@ def _clean(series: Series) -> Iterator[Trial]:
     ):  # fmt: skip
         label, replayed = f"bank {bank:g}, wind {wind:g}", aircraft == "OV10"
         yield series.trial(aircraft, label, bank=bank, wind=wind, replayed=replayed)
+
+
+def _published(series: Series) -> Iterator[Trial]:
+    """Excitation on the topic, with delay and lag configured correctly or not, or saturation."""
+    rotors: Mapping[str, Any] = {"duration": 80.0, "wind": 0.5, "time_constant": 0.05}
+    for aircraft, flight in (
+        ("light_aircraft", {"bank": 20.0, "wind": 0.8}), ("c172p", {"bank": 20.0, "wind": 3}),
+        ("ultra_stick_25e", {"bank": 20.0, "wind": 2}), (QUADROTOR, rotors),
+    ):  # fmt: skip
+        lag = flight.get("time_constant", 0.0)
+        for name, true, wrong in (
+            ("time_constant", lag, lag), ("time_constant", lag, lag + 0.07),
+            ("delay", DELAY, DELAY + 0.06),
+        ):  # fmt: skip
+            label = f"{name} {1e3 * wrong:g} ms, true {1e3 * true:g}"
+            settings = {f"actuators.{name}": wrong}
+            yield series.trial(aircraft, label, settings=settings, published=True, **flight)
+    yield series.trial(
+        "light_aircraft", "commands saturate", bank=20.0, wind=0.5, travel=0.04, scale=2.5,
+        published=True,
+    )  # fmt: skip
 
 
 def _in_turn(series: Series) -> Iterator[Trial]:
@@ -650,8 +672,9 @@ CLASSES = {
     make.__name__.removeprefix("_"): make
     for make in (
         _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _imperfect, _weak,
-        _glitch, _clean, _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong, _warm,
-        _launched, _blocked, _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed, _recorded,
+        _glitch, _clean, _published, _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong,
+        _warm, _launched, _blocked, _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed,
+        _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""

@@ -100,6 +100,16 @@ def test_surfaces_that_saturate_are_not_usable_after_a_warm_start(seed: int, nam
     assert false_usable.run(trial, "").wrong < 0.02
 
 
+def test_the_injected_signal_of_a_published_flight_is_given_to_the_identifier() -> None:
+    """Without it a gust that an autopilot answers widens sigma."""
+    trial = verdict_flights.trials(["published"], (1,), 0.3)[0]
+    assert trial.published
+    with_, without = (
+        false_usable.run(replace(trial, published=published), "") for published in (True, False)
+    )
+    assert with_.last["pdot/da"] != without.last["pdot/da"]
+
+
 def test_a_flight_through_a_bag_gives_the_same_coefficients() -> None:
     trial = next(t for t in verdict_flights.trials(["clean"], (1,), 0.3) if t.replayed)
     replayed = false_usable.run(trial, "")
