@@ -376,7 +376,7 @@ def answering(travel: float, seed: int, seconds: float = 80.0) -> RowSamples:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize(("travel", "saturates"), [(0.04, True), (1.0, False)])
+@pytest.mark.parametrize(("travel", "saturates"), [(0.03, True), (1.0, False)])
 def test_answers_do_not_hide_that_an_excited_aileron_saturates(
     travel: float, saturates: bool, seed: int
 ) -> None:
