@@ -154,17 +154,6 @@ class DelayEstimate:
         """Return the same of a sum of delay and lag, s."""
         return _beyond(self.total - total, self.total_sigma)
 
-    def excess(self, lag: float) -> float:
-        """Return the rms part of a servo lag in use that may be too much, s.
-
-        No input acts before it is given: a negative delay by more than its sigma is evidence
-        against the lag in use. Any part of that lag, with equal probability, may then be too much.
-        """
-        if not self.sure:
-            return 0.0
-        beyond = max(-self.delay / self.sigma - 1.0, 0.0)
-        return lag * math.sqrt((1.0 - math.exp(-0.5 * beyond**2)) / 3.0)
-
     def contradiction(self, delay: float, held: float = 0.0) -> str:
         """Return a message with the error of a delay in use, s, and its cure.
 

@@ -546,7 +546,7 @@ class SetupErrors:
         self._found = []
         if not (self._structure.has_flow or estimate.from_injected):
             return
-        late = max(abs(estimate.off(delay)), estimate.excess(lag))
+        late = estimate.off(delay)
         if error := late or estimate.beyond(delay):
             reason = estimate.contradiction(delay, held())
             self._found.append(SetupError(self._delay_error(values, error), reason))
