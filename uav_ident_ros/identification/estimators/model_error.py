@@ -273,14 +273,17 @@ class ModelError:
             self.height = float(losses.size[len(ROWS) :, 0, 1].sum())
         # Saturation, less one sigma, as the better determined solution has it, lateness and
         # attenuation. An effect that grows with the deflection, as by a dead band, counts alike.
+        # Saturation and backlash of opposite signs are nearly a straight line: the rest counts.
         rows, sure = range(len(ROWS)), losses.sure[: len(ROWS)]
-        error = losses.sigma[: len(ROWS), _WITH_SATURATION, 0]
+        found, sigma = losses.found[: len(ROWS), -1, 1], losses.sigma[: len(ROWS), -1, 1]
+        curved, error = sure[:, _WITH_SATURATION, 0], losses.sigma[: len(ROWS), _WITH_SATURATION, 0]
+        straight = np.clip(-found * np.sign(curved[:, -1]), 0.0, np.abs(curved[:, -1]))
+        curved[:, -1] = np.abs(curved[:, -1]) - straight
         better = error.argmin(axis=1)
-        saturation = np.abs(sure[:, _WITH_SATURATION, 0][rows, better]) - error[rows, better]
+        saturation = np.abs(curved[rows, better]) - error[rows, better]
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
-        found, sigma = losses.found[: len(ROWS), -1, 1], losses.sigma[: len(ROWS), -1, 1]
         beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
         beyond = np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)
         self._backlash = np.where(moments, beyond, self._backlash)
