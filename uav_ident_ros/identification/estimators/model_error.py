@@ -96,6 +96,29 @@ class Losses(NamedTuple):
     # (rows,) Whether the input moved in more blocks than it makes regressors, as a scatter needs
     informative: BoolArray
 
+    @property
+    def saturation(self) -> FloatArray:
+        """Loss of each moment row by saturation, less one sigma, by all pairs, (3,).
+
+        The better determined solution counts. An effect that grows with the deflection, as by a
+        dead band, counts alike. Saturation and backlash of opposite signs are nearly a straight
+        line: then the rest counts.
+        """
+        rows = range(len(ROWS))
+        curved, error = (a[: len(ROWS), _WITH_SATURATION, 0] for a in (self.sure, self.sigma))
+        backlash, size = self.found[: len(ROWS), -1, 1], np.abs(curved)
+        straight = np.clip(-backlash * np.sign(curved[:, -1]), 0.0, size[:, -1])
+        size[:, -1] -= straight
+        better = error.argmin(axis=1)
+        return np.asarray(size[rows, better] - error[rows, better])
+
+    @property
+    def backlash(self) -> FloatArray:
+        """Loss of each moment row by backlash, beyond its own standard deviation, (3,), 0 ... 1."""
+        found, sigma = self.found[: len(ROWS), -1, 1], self.sigma[: len(ROWS), -1, 1]
+        beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
+        return np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)
+
 
 class ModelError:
     """Model error of the main input of each moment row, and height of the accelerometer."""
@@ -271,22 +294,11 @@ class ModelError:
         self._late = np.where(moments, late, self._late)
         if losses.informative[len(ROWS) :].all():
             self.height = float(losses.size[len(ROWS) :, 0, 1].sum())
-        # Saturation, less one sigma, as the better determined solution has it, lateness and
-        # attenuation. An effect that grows with the deflection, as by a dead band, counts alike.
-        # Saturation and backlash of opposite signs are nearly a straight line: the rest counts.
-        rows, sure = range(len(ROWS)), losses.sure[: len(ROWS)]
-        found, sigma = losses.found[: len(ROWS), -1, 1], losses.sigma[: len(ROWS), -1, 1]
-        curved, error = sure[:, _WITH_SATURATION, 0], losses.sigma[: len(ROWS), _WITH_SATURATION, 0]
-        straight = np.clip(-found * np.sign(curved[:, -1]), 0.0, np.abs(curved[:, -1]))
-        curved[:, -1] = np.abs(curved[:, -1]) - straight
-        better = error.argmin(axis=1)
-        saturation = np.abs(curved[rows, better]) - error[rows, better]
+        saturation, sure = losses.saturation, losses.sure[: len(ROWS)]
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
-        beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
-        beyond = np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)
-        self._backlash = np.where(moments, beyond, self._backlash)
+        self._backlash = np.where(moments, losses.backlash, self._backlash)
         if k < self._settled < count:
             newest = np.arange(self._blocks - self._settled, self._blocks) % BLOCKS
             losses = self._find(newest, _LATE[:1], ratio, effect)
