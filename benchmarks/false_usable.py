@@ -24,6 +24,7 @@ from verdict_flights import GLITCH_TIME, Trial
 from uav_ident_ros.files.parameter_file import PARAMETER_FILE, load_parameters
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
+from uav_ident_ros.identification.supervision import State
 from uav_ident_ros.offline.run import run_over
 from uav_ident_ros.simulation.noise import Measurements
 from uav_ident_ros.simulation.recording import write_bag
@@ -62,6 +63,7 @@ class Outcome:
     # Share of the whole flight with a usable row whose published fit is below that of holding the
     # rate
     losing: float
+    fault: float  # Share of the flight with a fault: right in the classes with mistakes only
     lost: float  # Time without the verdict in the seconds after the glitch, less those before, s
     # (one, two) Coverage at 1 and 2 sigma of the derivatives with sigma below half of the true
     # value; NaN without any
@@ -157,6 +159,7 @@ def run(trial: Trial, structure_name: str) -> Outcome:
         wrong=float(wrong.mean()),
         wrong_sign=float(wrong_sign.mean()),
         losing=float(np.any(usable & losing, axis=1).mean()),
+        fault=float(np.mean([e.state == State.FAULT for e in estimates])),
         lost=_lost(time, every),
         within=within,
         counted=counted,
@@ -213,7 +216,8 @@ def report(outcomes: Sequence[Outcome]) -> str:
     """Return the table of the classes and the totals."""
     lines = [
         f"{'class':14} {'flights':>7} {'usable':>7} {'wrong':>7} {'wrong sign':>10} {'losing':>7} "
-        f"{'1 sigma':>8} {'2 sigma':>8}   (usable after {START:g} s; others: share of usable time)"
+        f"{'1 sigma':>8} {'2 sigma':>8} {'fault':>7}   (usable after {START:g} s; wrong to losing: "
+        "share of usable time; fault: of all)"
     ]
     for kind in dict.fromkeys(o.kind for o in outcomes):
         own = [o for o in outcomes if o.kind == kind]
@@ -248,11 +252,12 @@ def _line(label: str, outcomes: Sequence[Outcome]) -> str:
     counted = np.array([o.counted for o in outcomes])
     within = np.array([np.nan_to_num(o.within) for o in outcomes])
     coverage = counted @ within / counted.sum() if counted.any() else np.full(2, np.nan)
+    fault = time @ np.array([o.fault for o in outcomes]) / time.sum()
     per_usable = 1.0 / ever if ever > 0.0 else 0.0
     return (
         f"{label:14} {len(outcomes):7} {np.mean([o.usable for o in outcomes]):7.1%} "
         f"{wrong * per_usable:7.1%} {sign * per_usable:10.1%} {losing * per_usable:7.1%} "
-        f"{coverage[0]:8.0%} {coverage[1]:8.0%}"
+        f"{coverage[0]:8.0%} {coverage[1]:8.0%} {fault:7.1%}"
     )
 
 
@@ -264,9 +269,8 @@ def details(outcome: Outcome) -> str:
     )
     return (
         f"{outcome.kind:14} {outcome.name} [{outcome.seed}]: usable {outcome.usable:.0%}, wrong "
-        f"{outcome.wrong:.0%}, sign {outcome.wrong_sign:.0%}, losing {outcome.losing:.0%} of the "
-        f"flight; {last}; "
-        f"{outcome.reason or '-'}"
+        f"{outcome.wrong:.0%}, sign {outcome.wrong_sign:.0%}, losing {outcome.losing:.0%}, fault "
+        f"{outcome.fault:.0%} of the flight; {last}; {outcome.reason or '-'}"
     )
 
 

@@ -87,7 +87,7 @@ def test_a_clean_flight_is_usable_without_wrong_derivatives() -> None:
     trial = verdict_flights.trials(["clean"], (1,), 0.5)[0]
     outcome = false_usable.run(trial, "")
     assert outcome.usable > 0.9
-    assert outcome.wrong == outcome.wrong_sign == 0.0
+    assert outcome.wrong == outcome.wrong_sign == outcome.fault == 0.0
     assert "clean" in false_usable.report([outcome])
 
 
