@@ -171,7 +171,7 @@ class GyroFilters:
     ) -> None:
         """Add the squares of the predicted innovations; their sum so far counts by `keep`.
 
-        Where they are not shown, every hypothesis gets those of the configured axes.
+        Where the flight shows no axes, every hypothesis gets those of the configured ones.
         """
         spread = np.linalg.solve(self._information, slope.swapaxes(1, 2))
         covariance = np.eye(3) + slope @ spread
