@@ -34,7 +34,7 @@ START_TIME = 2.0 * SHORT_MEMORY
 each tick updates the estimate."""
 
 MEMORY = 30.0
-"""Memory of statistics of the recent flight, s: noise and fit."""
+"""Memory of statistics of the recent flight, s: noise, fit, usual slopes."""
 
 LONG_MEMORY = 2.0 * MEMORY
 """Memory of long-term statistics, s: a minute of flight has calm and lively parts."""

@@ -24,6 +24,7 @@ from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     GUST_TIME,
     LOOK_TIME,
+    MEMORY,
     OUTLYING,
     ROUNDING,
     SURE,
@@ -47,6 +48,9 @@ REVERSED = 2.0
 
 PASSED = 6.0
 """Settling time of the regression's filter after a step, to 2 %, times its cut-off."""
+
+KEPT = np.exp(-LOOK_TIME / MEMORY)
+"""Discount factor of the usual slope from one test to the next."""
 
 
 class Change(NamedTuple):
@@ -75,17 +79,19 @@ class ChangeDetector:
         self._column = INPUT_COLUMNS.start + column
         self._surfaces = np.arange(len(self._row)) < len(column)
         # Of each candidate the control derivatives of its row, (candidates, candidates)
-        self._same_row = (self._row[:, None] == self._row) & self._surfaces
+        self._rivals = (self._row[:, None] == self._row) & self._surfaces
         self._has_constant = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
         self._window: deque[Regression] = deque()
         self._time = self._since_look = 0.0
-        # Standard deviations of the candidates at the tests in the last `WINDOW_TIME`
-        self._sigmas: deque[FloatArray] = deque(maxlen=1 + round(WINDOW_TIME / LOOK_TIME))
+        # Of each candidate: discounted sums of squared slope times power, and of its input's power
+        self._energy = self._power = np.zeros(len(self._row))
+        # Of the tests in the last `WINDOW_TIME`: energy, power, standard deviations
+        self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
 
     def restart(self) -> None:
         """Clear the window, since the next samples do not continue it."""
         self._window.clear()
-        self._sigmas.clear()
+        self._newest.clear()
         self._time = self._since_look = 0.0
 
     def add(self, samples: Regression) -> bool:
@@ -127,27 +133,31 @@ class ChangeDetector:
         rows = coefficients[: len(ROWS)]
         moved = np.hstack((window.f[:, self._column], window.z @ rows.T))
         regressors = _whitened(moved, window.dt)
-        size, explained, noise = _fitted(regressors, residual[:, self._row])
+        size, power, explained, noise = _fitted(regressors, residual[:, self._row])
         known = np.append(np.abs(rows[self._places[0], self._column]), np.ones(len(ROWS)))
         # A row's sigma has two parts: its main derivative's, and that of its factor by the noise.
         main = rows[MAIN_DERIVATIVES]
         relative = _ratio(sigma[range(len(ROWS)), MAIN_PLACES], np.abs(main))
         relative[main == 0.0] = np.inf
         sigma = np.append(sigma[self._places], np.hypot(relative, noise[~self._surfaces]))
-        self._sigmas.append(sigma)
-        unsure = np.hypot(np.minimum(self._sigmas[0], sigma), MODEL_ERROR * known)
+        self._newest.append((size * size * power, power, sigma))
+        unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
+        usual = self._usual()
         # A change needs a derivative that was known before.
-        sure = (np.abs(size) > SURE * unsure) & (known > SURE * unsure)
+        sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
         # No failure exceeds a reversed surface; a damper's answers to gusts appear to.
         sure &= np.abs(size) <= REVERSED * known + SURE * unsure
         # A whole row keeps its sign and a part of its moment.
         sure &= self._surfaces | (known + size > SURE * unsure)
-        # A surface excited alone makes nearly all of its row: it has changed, not the row.
+        # A residual that another input explains better, even one of unknown effect, is no change.
         left = np.maximum(1.0 - explained, ROUNDING)
-        by_surface = np.minimum.reduce(np.where(self._same_row, left, 1.0), axis=1)
-        sure &= self._surfaces | (len(residual) * np.log(by_surface / left) > DOUBTLESS**2)
+        rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
+        excluded = len(residual) * np.log(left / rivals) > OUTLYING
+        # A surface excited alone makes nearly all of its row: it has changed, not the row.
+        surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
+        excluded |= ~self._surfaces & (len(residual) * np.log(surface / left) <= DOUBTLESS**2)
         # More than all else together: an autopilot's answers to a storm explain up to 0.4.
-        explained = np.where(sure & (explained >= 1.0 - explained), explained, 0.0)
+        explained = np.where(sure & ~excluded & (explained >= 1.0 - explained), explained, 0.0)
         changes = []
         for row in sorted({*self._row[explained > 0.0].tolist()}):
             best = int(np.where(self._row == row, explained, 0.0).argmax())
@@ -165,6 +175,18 @@ class ChangeDetector:
         if changes:
             self.restart()  # relative to the new coefficients the window contains the change
         return changes
+
+    def _usual(self) -> FloatArray:
+        """Return the usual slope of each candidate, rms: model errors come and go.
+
+        Each test is weighted by the power of its input, since the slope along a resting input is
+        noise. The newest window is excluded: a change would become usual itself.
+        """
+        if len(self._newest) > WINDOW_TIME / LOOK_TIME:
+            energy, power, _ = self._newest.popleft()
+            self._energy = KEPT * self._energy + energy
+            self._power = KEPT * self._power + power
+        return np.sqrt(_ratio(self._energy, self._power))
 
     def _shifted(self, window: Regression, residual: FloatArray, rows: BoolArray) -> list[Change]:
         """Return the changes of the constant in those of the rows that it explains.
@@ -192,7 +214,7 @@ class ChangeDetector:
         since = np.maximum(np.arange(count)[:, None] - np.arange(1, count) + 0.5, 0.0)
         phase = self._cutoff * dt * since / np.sqrt(2.0)
         steps = 1.0 - np.exp(-phase) * (np.cos(phase) + np.sin(phase))
-        size, explained, _ = _fitted(_whitened(steps, dt), residual[:, None])
+        size, _, explained, _ = _fitted(_whitened(steps, dt), residual[:, None])
         best = int(explained.argmax())
         passed = best + 1 + round(PASSED / (self._cutoff * dt))
         return float(explained[best]), float(size[best]), min(passed, count - 1)
@@ -204,7 +226,7 @@ def _whitened(signals: FloatArray, dt: float) -> FloatArray:
 
 
 def _fitted(regressors: FloatArray, residual: FloatArray) -> tuple[FloatArray, ...]:
-    """Return slope, share explained, and standard error of the slope.
+    """Return slope, power of the regressor, share explained, and standard error of the slope.
 
     Each column of the residuals, (m, k), is fitted by its own regressor.
     """
@@ -217,7 +239,7 @@ def _fitted(regressors: FloatArray, residual: FloatArray) -> tuple[FloatArray, .
     error = np.sqrt(
         np.divide(left / len(e), power, out=np.full_like(left, np.inf), where=power > 0)
     )
-    return slope, _ratio(slope * product, energy), error
+    return slope, power, _ratio(slope * product, energy), error
 
 
 def _ratio(a: FloatArray, b: FloatArray) -> FloatArray:
