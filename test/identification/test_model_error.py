@@ -68,12 +68,16 @@ def shares(
     ratio: np.ndarray = OPEN_LOOP,
     settled: bool = True,
     effect: np.ndarray = KNOWN,
+    injected: bool = False,
 ) -> np.ndarray:
     """Return the model error after each two samples, (m / 2, 3)."""
     found = []
     for k in range(0, samples.count, 2):
         part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
-        error_model.add(part, EVERYWHERE, ratio, 0.0, effect, restarted=k == 0, settled=settled)
+        error_model.add(
+            part, EVERYWHERE, ratio, 0.0, effect,
+            restarted=k == 0, settled=settled, injected=injected,
+        )  # fmt: skip
         found.append(error_model.share)
     return np.array(found)
 
@@ -382,10 +386,8 @@ def test_answers_do_not_hide_that_an_excited_aileron_saturates(
 ) -> None:
     """They act as a dither: through it the injected signal alone sees a straight line."""
     samples, error_model = answering(travel, seed), ModelError(LAYOUT)
-    found = KNOWN * np.mean(np.abs(samples.f[0, :, LAYOUT.main[0]]) < travel)
-    for k in range(0, samples.count, 2):
-        part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
-        error_model.add(part, EVERYWHERE, OPEN_LOOP, 0.0, found, restarted=k == 0, injected=True)
+    left = np.mean(np.abs(samples.f[0, :, LAYOUT.main[0]]) < travel)
+    shares(samples, error_model, effect=KNOWN * left, injected=True)
     assert error_model.share[0] < 0.25
     assert (error_model.lost[0] > 0.25) == saturates
     error_model.forget(0)
