@@ -35,6 +35,12 @@ def swaying(ticks: int, seed: int = 2) -> tuple[FloatArray, FloatArray]:
     return k, 0.03 * np.sin(0.1 * k) + 0.01 * np.random.default_rng(seed).normal(size=ticks)
 
 
+def filtered(state: FloatArray, signal: float) -> FloatArray:
+    """Return value and slope, (2,), after a tenth of a tick of the regression's filter."""
+    slope = 15.0**2 * (signal - state[0]) - np.sqrt(2.0) * 15.0 * state[1]
+    return np.asarray(state + 0.1 * TICK * np.array([state[1], slope]))
+
+
 class Monitor:
     """The detector after a flight with elevator `u` and disturbance `more` of qdot, per tick."""
 
@@ -120,6 +126,24 @@ def test_a_change_beyond_a_reversed_surface_is_not_detected(change: float, detec
     assert [place for _, *place in found[:1]] == [[1, 8]] * detected
 
 
+def test_a_change_in_one_row_does_not_hide_that_in_another() -> None:
+    """A rudder changes in both rows. The later one is found before its sigma has grown."""
+    own, rows, found = detector(), ELEVATOR.copy(), []
+    rows[0, 10] = 20.0
+    (k, de), (_, da) = swaying(1400), swaying(1400, seed=4)
+    chance = np.random.default_rng(1)
+    for tick in k.tolist():
+        f = np.zeros((10, STRUCTURE.size))
+        f[:, 8], f[:, 10], f[:, CONSTANT_COLUMN] = de[tick], da[tick], 1.0
+        y = f @ rows.T + 0.05 * chance.normal(size=3)
+        y[:, 1] += 12.0 * de[tick] * (tick >= 1200)
+        y[:, 0] -= 12.0 * da[tick] * (tick >= 1230)
+        if own.add(Regression.of(y, f, f, TICK / 10).means()):
+            sigma = np.full((3, 4), 2.0 + 0.1 * max(tick - 1200, 0))
+            found += [change[:2] for change in own.look(rows, sigma, np.zeros(3, dtype=bool))]
+    assert found[:2] == [(1, 8), (0, 10)]
+
+
 @pytest.mark.parametrize("share", [0.6, 1.5])
 def test_a_change_of_a_whole_row_by_one_factor_is_detected(share: float) -> None:
     """A change of inertia does so; no control derivative explains a change of the damping."""
@@ -163,12 +187,26 @@ def test_a_step_of_the_moment_is_attributed_to_the_constant() -> None:
     _, u = swaying(1400, seed=4)
     smooth, slow, moment = np.zeros(2), 0.0, np.zeros(len(u))
     for k in range(1200, len(u)):
-        for _ in range(10):  # the moment after the regression's filter
-            slope = 15.0**2 * (4.0 - smooth[0]) - np.sqrt(2.0) * 15.0 * smooth[1]
-            smooth = smooth + 0.005 * np.array([smooth[1], slope])
+        for _ in range(10):
+            smooth = filtered(smooth, 4.0)
             slow += 0.005 * 25.0 * (smooth[0] - slow)
         moment[k], u[k] = smooth[0], u[k] + slow / 20.0
     Monitor(u, moment).assert_first(1200, CONSTANT_COLUMN)
+
+
+def test_half_of_a_surface_that_pulses_is_no_step_of_the_constant() -> None:
+    """A 3-2-1-1 holds the elevator: what is missing of its moment begins as a step does."""
+    k, pulses = np.arange(1600), np.zeros(1600)
+    for start in range(1000, 1600, 300):
+        pulses[start : start + 70] = np.repeat([0.1, -0.1, 0.1, -0.1], [30, 20, 10, 10])
+    held, smooth = np.zeros(len(k)), np.zeros(2)
+    for tick, pulse in enumerate(pulses.tolist()):
+        for _ in range(10):
+            smooth = filtered(smooth, pulse)
+        held[tick] = smooth[0]
+    for seed in range(8):
+        u = held + 0.002 * np.random.default_rng(seed).normal(size=len(k))
+        Monitor(u, 12.0 * u * (k >= 1250), noise=0.08).assert_first(1250)
 
 
 @pytest.mark.parametrize("ramp", [1, 40])

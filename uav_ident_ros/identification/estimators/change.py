@@ -87,12 +87,14 @@ class ChangeDetector:
         self._energy = self._power = np.zeros(len(self._row))
         # Of the tests in the last `WINDOW_TIME`: energy, power, standard deviations
         self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
+        self._wait: FloatArray = np.zeros(len(ROWS))  # Until the window follows the last change, s
 
     def restart(self) -> None:
         """Clear the window, since the next samples do not continue it."""
         self._window.clear()
         self._newest.clear()
         self._time = self._since_look = 0.0
+        self._wait = np.zeros(len(ROWS))
 
     def add(self, samples: Regression) -> bool:
         """Add samples; return whether a test is due."""
@@ -101,6 +103,7 @@ class ChangeDetector:
         self._window.append(samples)
         self._time += samples.time
         self._since_look += samples.time
+        self._wait -= samples.time
         while self._time > WINDOW_TIME:
             self._time -= self._window.popleft().time
         if self._time < WINDOW_TIME - 1.5 * samples.time or len(self._window) < 3:
@@ -120,7 +123,8 @@ class ChangeDetector:
         """Return the detected changes, at most one in each row.
 
         A motor that loses thrust steps a constant moment. The controller's answer is a step of its
-        inputs, which resembles a slope. Where the step explains more, the constant has changed.
+        inputs, which resembles a slope. Where the step explains clearly more, the constant has
+        changed: a surface that is held, as in a 3-2-1-1, makes steps as well.
         It has also changed where its mean is all that is unusual in an outlying residual.
         Where a whole row explains clearly more than each control derivative, the row has changed.
         """
@@ -140,11 +144,14 @@ class ChangeDetector:
         relative = _ratio(sigma[range(len(ROWS)), MAIN_PLACES], np.abs(main))
         relative[main == 0.0] = np.inf
         sigma = np.append(sigma[self._places], np.hypot(relative, noise[~self._surfaces]))
+        follows = self._wait <= 0.0
+        power = np.where(follows[self._row], power, 0.0)
         self._newest.append((size * size * power, power, sigma))
         unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
         usual = self._usual()
         # A change needs a derivative that was known before.
         sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
+        sure &= follows[self._row]
         # No failure exceeds a reversed surface; a damper's answers to gusts appear to.
         sure &= np.abs(size) <= REVERSED * known + SURE * unsure
         # A whole row keeps its sign and a part of its moment.
@@ -164,17 +171,25 @@ class ChangeDetector:
             column = int(self._column[best]) if self._surfaces[best] else None
             by, first = size[best], len(signals) // 2
             share, step, passed = self._step(residual[:, row], window.dt)
-            if self._has_constant[row] and share > explained[best]:
+            beaten = np.log(left[best] / max(1.0 - share, ROUNDING))
+            if self._has_constant[row] and len(residual) * beaten > DOUBTLESS**2:
                 column, by, first = CONSTANT_COLUMN, step, passed
             after = Regression(signals[first:], window.rows, window.dt)
             changes.append(Change(row, column, float(by), after))
         explained_rows = [change.row for change in changes]
-        others = outlying & self._has_constant
+        others = outlying & self._has_constant & follows
         others[explained_rows] = False
         changes += self._shifted(window, left_over, others)
-        if changes:
-            self.restart()  # relative to the new coefficients the window contains the change
+        self._begin_anew([change.row for change in changes])
         return changes
+
+    def _begin_anew(self, rows: list[int]) -> None:
+        """Leave rows out until the window contains no more of their change."""
+        self._wait[rows] = self._time
+        own = np.isin(self._row, rows)
+        for energy, power, sigma in self._newest:
+            energy[own] = power[own] = 0.0
+            sigma[own] = np.inf
 
     def _usual(self) -> FloatArray:
         """Return the usual slope of each candidate, rms: model errors come and go.
