@@ -6,9 +6,19 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
-from flying import PEAKS, Message, identified, light_measured, run, since, with_injected
+from flying import (
+    PEAKS,
+    Message,
+    identified,
+    light_measured,
+    run,
+    settings,
+    since,
+    with_injected,
+)
 from light_aircraft import TRUTH
 from test_sampling import MS, add_inputs, add_rates, blocks, sampler
+from verdict_flights import warm_start
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.estimators.recursive import RecursiveRegression
@@ -27,6 +37,7 @@ from uav_ident_ros.identification.structure import (
     FloatArray,
 )
 from uav_ident_ros.simulation.inputs import Segment
+from uav_ident_ros.simulation.noise import fed
 
 RATES_NS = np.arange(0, 4000, 10) * MS
 INPUTS_NS = np.arange(0, 4000, 20) * MS
@@ -200,6 +211,22 @@ def test_known_coefficients_stay_when_the_excitation_is_published_late() -> None
     after = max(e.sigma[place] for e in since(estimates, 10.2, 11.0))
     assert before < 0.3 * abs(TRUTH["qdot/de"])
     assert after < 1.5 * before
+
+
+def test_injected_signals_show_a_wrong_delay_after_answers_to_gusts() -> None:
+    """After a warm start such answers would look late. The injected signals contain none."""
+    segment = Segment("multisine", 20.0, 25.0, PEAKS, seed=1)
+    m = light_measured(55.0, segments=(segment,), bank=20.0, gust=0.8, delay=0.02)
+    known = warm_start(STRUCTURES["flight_dynamics"], TRUTH)
+    identifier = OnlineIdentifier(settings(m, actuators__delay=0.08), known)
+    answered, reasons = {}, {}
+    for estimate in fed(identifier, with_injected(m)):
+        second = round((estimate.t_ns - int(m.imu_t_ns[0])) * 1e-9)
+        answered[second] = identifier.estimator.answers.any()
+        reasons[second] = estimate.reason
+    assert answered[19] and not answered[40] and answered[54]
+    for second in (44, 54):
+        assert "set 'actuators.delay' to 0.02" in reasons[second]
 
 
 def rolled(seed: int, injected: float, after: float = 0.0) -> tuple[FloatArray, FloatArray, float]:

@@ -650,7 +650,7 @@ class OnlineIdentifier:
             self._news = True
         if self._news:
             delays, lag = self.delays.estimate, self.sampler.time_constant
-            if self._warm and estimator.answers.any():
+            if self._warm and estimator.answers.any() and not delays.from_injected:
                 # Inputs that answer gusts appear delayed; the prior takes precedence.
                 delays = NO_ESTIMATE
             self._setup_errors.look(

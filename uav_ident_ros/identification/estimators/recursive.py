@@ -34,6 +34,7 @@ from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
+    INPUTS,
     MAIN_COLUMNS,
     MAIN_DERIVATIVES,
     MAIN_PLACES,
@@ -126,6 +127,7 @@ class RecursiveRegression(Estimator):
             share = self._influence(samples)
             rows, white = rows.times(share), white.times(share)
             answers, answering = np.zeros(len(ROWS)), None  # Injected signals have no disturbance.
+            self.answers = np.zeros(len(INPUTS))
         else:
             known = np.abs(self._known[0].values[1][MAIN_DERIVATIVES])  # whitened
             counted = moments * (weight > 0.0)  # a row learns nothing from the others
