@@ -314,13 +314,15 @@ def test_the_flow_rows_are_learned_with_a_late_accelerometer() -> None:
 
 
 def test_a_reversed_rudder_has_its_moment_and_its_side_force_reversed() -> None:
-    """The whole rdot/dr includes the effect of the rudder's own side force."""
+    """The whole rdot/dr includes the effect of the rudder's own side force, as does pdot/dr."""
     weak = dict.fromkeys(("de", "dr", "da"), 0.04)
     reversed_at = (CoefficientChange(34.0, {"dr": -1.0}),)
     imu = {"accelerometer_noise": 0.3}
     m = light_measured(49.0, weak, 0.0, imu, noise_seed=2, seed=2, changes=reversed_at)
-    shares, sigmas = light_errors(identified(m)[1][-1], "rdot/dr", "ay/dr", factor=-1.0)
+    _, (*_, last) = identified(m)
+    shares, sigmas = light_errors(last, "rdot/dr", "ay/dr", factor=-1.0)
     assert (shares < 0.2).all() and (sigmas < 2.0).all()
+    assert light_errors(last, "pdot/dr", factor=-1.0)[0] < 1.0
 
 
 def rudder_alone(

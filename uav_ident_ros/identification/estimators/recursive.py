@@ -344,8 +344,9 @@ class RecursiveRegression(Estimator):
     def _release(self, change: Change) -> None:
         """Reset a changed coefficient, and learn it from the samples after the change.
 
-        A surface that loses a share of its moment loses that share of its force: both make up the
-        whole moment. In a whole row all coefficients but those of rate products have changed.
+        A surface that loses a share of its moment loses that share of its force, which is a part of
+        the whole moment, and of its moments about the other axes. In a whole row all coefficients
+        but those of rate products have changed.
         """
         row, column, size = change.row, change.column, change.size
         before, columns = self._known[0].linear[1], self._layout.place[..., 1]
@@ -356,10 +357,12 @@ class RecursiveRegression(Estimator):
             moves = columns[row] == column
             effect = before[row, moves]
             self._reset(row, moves * size, change.after)
-        for flow in self._structure.flow:
-            if column in flow.others:
-                by_force = (columns[flow.force] == column) * before[flow.force]
-                self._reset(flow.force, by_force / effect * size, change.after)
+        others = [flow.force for flow in self._structure.flow if column in flow.others]
+        if column == MAIN_COLUMNS[row]:
+            others += [i for i in range(len(ROWS)) if i != row and self._structure.mask[i, column]]
+        for other in others:
+            alike = (columns[other] == column) * before[other]
+            self._reset(other, alike / effect * size, change.after)
         if column == CONSTANT_COLUMN:
             self._error.begin_anew(row)
         else:
