@@ -532,6 +532,7 @@ class OnlineIdentifier:
             estimator.may_answer,
             restarted=samples.restarted,
         )
+        estimator.delay = self.delay + self.lag
         estimator.update(samples, rows, white, weight)
         supervisor.follow(t_ns * NS, estimator, ticks)
         self._try_fresh_start(samples)

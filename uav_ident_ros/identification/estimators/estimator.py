@@ -11,6 +11,7 @@ After a start from a file, it is the reference: an estimate without the informat
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Generic, TypeVar
 
@@ -63,6 +64,8 @@ class Estimator:
         Model error of the main inputs' effects, relative to the effects.
     sure_error : (3,) array
         The same, where it is significant: sigma contains it.
+    delay : float
+        Delay plus lag that the inputs have in the samples to come, s; set before an update.
     height : float
         Height of the accelerometer above `imu.lever_arm`, m; 0 if not significant.
     answers : (4,) array
@@ -93,6 +96,7 @@ class Estimator:
         self.rejected: list[tuple[int, int]] = []
         self.model_error: FloatArray = np.zeros(len(ROWS))
         self.sure_error: FloatArray = np.zeros(len(ROWS))
+        self.delay = math.inf
         self.height = 0.0
         self.answers: FloatArray = np.zeros(len(INPUTS))
         self.may_answer: BoolArray = np.zeros(len(ROWS), dtype=bool)

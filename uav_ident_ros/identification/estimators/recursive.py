@@ -153,7 +153,8 @@ class RecursiveRegression(Estimator):
             restarted=restarted, settled=settled, injected=samples.injected,
         )  # fmt: skip
         known_now = known_inputs(self.coefficients, self.sigma, self._error.lost)
-        self.model_error = self._error.relative_error(known_now, self._rotors)
+        damping = -self.linear[: len(ROWS), RATE_COLUMNS].diagonal()
+        self.model_error = self._error.relative_error(known_now, damping, self.delay, self._rotors)
         # Where gusts alone make the aircraft roll, their side force looks like a height.
         self.height = self._error.height if known_now[0] else 0.0
         weight = self._row_weights(weight)
