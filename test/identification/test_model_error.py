@@ -8,7 +8,12 @@ import pytest
 from flying import identified
 from verdict_flights import fly
 
-from uav_ident_ros.identification.estimators.model_error import Losses, ModelError, _solved
+from uav_ident_ros.identification.estimators.model_error import (
+    LOADING,
+    Losses,
+    ModelError,
+    _solved,
+)
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.structure import STRUCTURES
 
@@ -402,7 +407,7 @@ def test_a_difference_of_a_ten_thousandth_of_the_power_is_found_by_a_third() -> 
     common, apart = 2.0 - 1e-4, 1e-4  # power of the sum and of the difference
     power = 0.5 * np.array([[common + apart, common - apart], [common - apart, common + apart]])
     effect = np.array([1.5, 0.5])
-    *_, found = _solved(power[None], power[None], (power @ effect)[None], np.eye(2)[None])
+    *_, found = _solved(power[None], power[None], (power @ effect)[None], np.eye(2)[None], LOADING)
     assert found[0, 0].sum() == pytest.approx(2.0, rel=1e-3)
     assert found[0, 0, 0] - found[0, 0, 1] == pytest.approx(1.0 / 3.0, rel=0.01)
 

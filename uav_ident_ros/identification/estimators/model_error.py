@@ -400,7 +400,7 @@ def _solved(
     zz: FloatArray,
     zy: FloatArray,
     pick: FloatArray,  # (pairs, k, w) Selects the regressors that are solved for
-    loading: float = LOADING,  # Relative to the diagonal of the information
+    loading: float,  # Relative to the diagonal of the information
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the solution of rows with some of their regressors.
 
