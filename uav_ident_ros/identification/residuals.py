@@ -116,6 +116,10 @@ ANSWER_TIMES = np.geomspace(2.0 * SAMPLE_TIME, RESPONSE_TIME, 3)
 to an attitude loop."""
 
 
+UNKNOWN_ANSWER = np.full(len(ROWS), 1.0 / ROUNDING)
+"""`Feedback.largest_answer` before there is any: as good as infinite."""
+
+
 class Feedback:
     """Share of the inputs that past residuals explain: feedback, which is no information.
 
@@ -151,6 +155,9 @@ class Feedback:
         self._gathered: list[tuple[Regression, FloatArray, float]] = []
         self._since_look = 0.0
         self._set_share(np.zeros(len(INPUTS)), np.zeros(len(INPUTS), dtype=bool))
+        # Largest variance of what each main input answers, relative to that of the disturbances in
+        # its plane, (3,), rad^2 per (rad/s^2)^2
+        self.largest_answer: FloatArray = UNKNOWN_ANSWER
 
     def _set_share(self, share: FloatArray, sure: BoolArray) -> None:
         # R^2 of each input, (4,); 0 where it may be chance
@@ -230,6 +237,8 @@ class Feedback:
         # Does the share move more than the gusts of its plane? No rate loop moves the throttle.
         gusts = np.diag(covariance)[self._gusts].copy()
         gusts[[0, 2]] = gusts[0] + gusts[2]  # roll and yaw
+        answered = (share * variance)[MAIN_PLACES]
+        self.largest_answer = answered / np.maximum(gusts, ROUNDING * answered + TINY)
         stronger = np.ones(len(INPUTS), dtype=bool)
         stronger[MAIN_PLACES] = effect**2 * ((share - chance) * variance)[MAIN_PLACES] > gusts
         tested = np.flatnonzero(sure & stronger)

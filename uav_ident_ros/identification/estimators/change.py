@@ -7,7 +7,8 @@ a time: of each control derivative, of the constant moment, and of a whole row, 
 inertia or airspeed. With unknown noise the likelihood ratio against "nothing changed" is
 (1-E)^(-m/2) for m samples. E is the share of the residual that the change explains (generalised
 likelihood ratio; Basseville and Nikiforov, Detection of Abrupt Changes, 1993). Residuals and
-regressors are whitened first, since gusts are slow.
+regressors are whitened first, since gusts are slow. A detected change has the size and the time
+that explain most.
 """
 
 from __future__ import annotations
@@ -28,11 +29,13 @@ from uav_ident_ros.identification.scales import (
     OUTLYING,
     ROUNDING,
     SURE,
+    TINY,
 )
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     INPUT_COLUMNS,
     INPUTS,
+    MAIN_COLUMNS,
     MAIN_DERIVATIVES,
     MAIN_PLACES,
     ROWS,
@@ -78,6 +81,7 @@ class ChangeDetector:
         self._row = np.append(row, range(len(ROWS)))
         self._column = INPUT_COLUMNS.start + column
         self._surfaces = np.arange(len(self._row)) < len(column)
+        self._main = np.append(column == MAIN_PLACES[row], np.zeros(len(ROWS), dtype=bool))
         # Of each candidate the control derivatives of its row, (candidates, candidates)
         self._rivals = (self._row[:, None] == self._row) & self._surfaces
         self._has_constant = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
@@ -119,6 +123,9 @@ class ChangeDetector:
         sigma: FloatArray,
         # (3,) Rows whose residual is far outside its usual size, and that therefore learn little
         outlying: BoolArray,
+        # (3,) Error of each row's main control derivative, relative to it; 1 if not known
+        model_error: FloatArray,
+        answers: FloatArray,  # (3,) `Feedback.largest_answer`
     ) -> list[Change]:
         """Return the detected changes, at most one in each row.
 
@@ -127,6 +134,11 @@ class ChangeDetector:
         changed: a surface that is held, as in a 3-2-1-1, makes steps as well.
         It has also changed where its mean is all that is unusual in an outlying residual.
         Where a whole row explains clearly more than each control derivative, the row has changed.
+
+        A change explains more than all else together, since an autopilot's answers to a storm
+        explain up to 0.4. An input of which a share S answers disturbances explains at most S of
+        them (Cauchy and Schwarz). Of a main control derivative any doubtless excess is enough, if
+        the change is also doubtless beside sigma, the usual slope and the model error.
         """
         self._since_look = 0.0
         newest = self._window[-1]
@@ -138,50 +150,76 @@ class ChangeDetector:
         moved = np.hstack((window.f[:, self._column], window.z @ rows.T))
         regressors = _whitened(moved, window.dt)
         size, power, explained, noise = _fitted(regressors, residual[:, self._row])
-        known = np.append(np.abs(rows[self._places[0], self._column]), np.ones(len(ROWS)))
-        # A row's sigma has two parts: its main derivative's, and that of its factor by the noise.
-        main = rows[MAIN_DERIVATIVES]
-        relative = _ratio(sigma[range(len(ROWS)), MAIN_PLACES], np.abs(main))
-        relative[main == 0.0] = np.inf
-        sigma = np.append(sigma[self._places], np.hypot(relative, noise[~self._surfaces]))
+        known, sigma = self._known(rows, sigma, noise)
         follows = self._wait <= 0.0
         power = np.where(follows[self._row], power, 0.0)
         self._newest.append((size * size * power, power, sigma))
         unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
-        usual = self._usual()
+        error = np.hypot(unsure, self._usual())
         # A change needs a derivative that was known before.
-        sure = (np.abs(size) > SURE * np.hypot(unsure, usual)) & (known > SURE * unsure)
-        sure &= follows[self._row]
+        sure = (np.abs(size) > SURE * error) & (known > SURE * unsure) & follows[self._row]
         # No failure exceeds a reversed surface; a damper's answers to gusts appear to.
         sure &= np.abs(size) <= REVERSED * known + SURE * unsure
         # A whole row keeps its sign and a part of its moment.
         sure &= self._surfaces | (known + size > SURE * unsure)
-        # A residual that another input explains better, even one of unknown effect, is no change.
         left = np.maximum(1.0 - explained, ROUNDING)
-        rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
-        excluded = len(residual) * np.log(left / rivals) > OUTLYING
-        # A surface excited alone makes nearly all of its row: it has changed, not the row.
-        surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
-        excluded |= ~self._surfaces & (len(residual) * np.log(surface / left) <= DOUBTLESS**2)
-        # More than all else together: an autopilot's answers to a storm explain up to 0.4.
-        explained = np.where(sure & ~excluded & (explained >= 1.0 - explained), explained, 0.0)
+        share = self._answering(answers, window, left_over)[self._row]
+        beyond = self._main & (left * np.exp(DOUBTLESS**2 / len(residual)) < 1.0 - share)
+        error = np.hypot(error, model_error[self._row] * known)
+        clear = (explained >= left) | beyond & (np.abs(size) > DOUBTLESS * error)
+        clear &= sure & ~self._is_rivalled(left, sure, len(residual))
         changes = []
-        for row in sorted({*self._row[explained > 0.0].tolist()}):
-            best = int(np.where(self._row == row, explained, 0.0).argmax())
+        for row in sorted({*self._row[clear].tolist()}):
+            best = int(np.where(clear & (self._row == row), explained, 0.0).argmax())
             column = int(self._column[best]) if self._surfaces[best] else None
-            by, first = size[best], len(signals) // 2
-            share, step, passed = self._step(residual[:, row], window.dt)
-            beaten = np.log(left[best] / max(1.0 - share, ROUNDING))
+            by, first, left_by_slope = _since(regressors[:, best], residual[:, row])
+            step, passed, left_by_step = self._step(residual[:, row], window.dt)
+            beaten = np.log(left_by_slope / left_by_step)
             if self._has_constant[row] and len(residual) * beaten > DOUBTLESS**2:
                 column, by, first = CONSTANT_COLUMN, step, passed
             after = Regression(signals[first:], window.rows, window.dt)
-            changes.append(Change(row, column, float(by), after))
+            changes.append(Change(row, column, by, after))
         explained_rows = [change.row for change in changes]
         others = outlying & self._has_constant & follows
         others[explained_rows] = False
         changes += self._shifted(window, left_over, others)
         self._begin_anew([change.row for change in changes])
         return changes
+
+    def _known(
+        self, rows: FloatArray, sigma: FloatArray, noise: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return magnitude and standard deviation of each candidate; of whole rows relative ones.
+
+        A row's sigma has two parts: its main derivative's, and that of its factor by the noise.
+        """
+        main = rows[MAIN_DERIVATIVES]
+        relative = _ratio(sigma[range(len(ROWS)), MAIN_PLACES], np.abs(main))
+        relative[main == 0.0] = np.inf
+        known = np.abs(rows[self._places[0], self._column])
+        of_rows = np.hypot(relative, noise[~self._surfaces])
+        return np.append(known, np.ones(len(ROWS))), np.append(sigma[self._places], of_rows)
+
+    def _is_rivalled(self, left: FloatArray, sure: BoolArray, count: int) -> BoolArray:
+        """Return which changes another candidate explains better.
+
+        A residual that another input explains better, even one of unknown effect, is no change. A
+        surface excited alone makes nearly all of its row: it has changed, not the row.
+        """
+        rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
+        surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
+        row_beaten = ~self._surfaces & (count * np.log(surface / left) <= DOUBTLESS**2)
+        return np.asarray((count * np.log(left / rivals) > OUTLYING) | row_beaten)
+
+    def _answering(
+        self, answers: FloatArray, window: Regression, residual: FloatArray
+    ) -> FloatArray:
+        """Return the largest share of each main input's motion that answers disturbances, (3,)."""
+        disturbance = np.add.reduce(residual * residual) / len(residual)
+        disturbance[[0, 2]] = disturbance[0] + disturbance[2]  # roll and yaw
+        answered = answers * disturbance
+        moved = window.f[:, MAIN_COLUMNS].var(axis=0)
+        return np.asarray(answered / np.maximum(moved, np.maximum(answered, TINY)))
 
     def _begin_anew(self, rows: list[int]) -> None:
         """Leave rows out until the window contains no more of their change."""
@@ -219,8 +257,8 @@ class ChangeDetector:
                 changes.append(Change(row, CONSTANT_COLUMN, size, after))
         return changes
 
-    def _step(self, residual: FloatArray, dt: float) -> tuple[float, float, int]:
-        """Return the best step of the constant: share explained, size, and end.
+    def _step(self, residual: FloatArray, dt: float) -> tuple[float, int, float]:
+        """Return the best step of the constant: size, end, and share that it leaves unexplained.
 
         The end is the sample at which the step has passed the filter, at most the last. Column k is
         a step at the start of sample k + 1 after the filter, at the middle of each sample.
@@ -232,7 +270,18 @@ class ChangeDetector:
         size, _, explained, _ = _fitted(_whitened(steps, dt), residual[:, None])
         best = int(explained.argmax())
         passed = best + 1 + round(PASSED / (self._cutoff * dt))
-        return float(explained[best]), float(size[best]), min(passed, count - 1)
+        left = max(1.0 - float(explained[best]), ROUNDING)
+        return float(size[best]), min(passed, count - 1), left
+
+
+def _since(regressor: FloatArray, residual: FloatArray) -> tuple[float, int, float]:
+    """Return the slope of a residual since its most likely start: size, start, and share left."""
+    u, e = regressor - regressor.mean(), residual - residual.mean()
+    power, product = np.cumsum((u * u)[::-1])[::-1], np.cumsum((u * e)[::-1])[::-1]
+    slope = _ratio(product, power)
+    first = int((slope * product).argmax())
+    left = max(1.0 - slope[first] * product[first] / (e @ e), ROUNDING)
+    return float(slope[first]), first, float(left)
 
 
 def _whitened(signals: FloatArray, dt: float) -> FloatArray:

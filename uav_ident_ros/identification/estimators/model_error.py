@@ -35,6 +35,7 @@ from uav_ident_ros.identification.scales import (
     MEMORY,
     ROUNDING,
     SURE,
+    TINY,
 )
 from uav_ident_ros.identification.structure import (
     MAIN_DERIVATIVES,
@@ -150,8 +151,12 @@ class ModelError:
         self._early: FloatArray = np.zeros(len(ROWS))
         self._early_sigma: FloatArray = np.full(len(ROWS), np.inf)
         self._rate: FloatArray = np.zeros(len(ROWS))
-        # Loss by lateness, significant or not, beyond what feedback may cause
+        # Loss by lateness, significant or not, beyond what feedback may cause, 0 ... 1
         self._late: FloatArray = np.zeros(len(ROWS))
+        # The same, unbounded, and its precision, 1 / sigma^2; those of before a row began anew, and
+        # the number of its blocks since
+        self._lateness, self._held = np.zeros((2, 2, len(ROWS)))
+        self._blocks_anew = np.full(len(ROWS), BLOCKS)
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
 
@@ -186,7 +191,9 @@ class ModelError:
         told = known & (np.arange(len(ROWS)) != _YAW) if rotors else known
         shared, limit = np.where(told, own, 0.0).max(), SURE * self._early_sigma
         # The most that a row without earliness hides in its damping
-        room = np.where(told & (self._early < limit), 1.0 / limit - damping, 0.0).max()
+        room = np.where(
+            told & (self._early < limit), 1.0 / np.maximum(limit, TINY) - damping, 0.0
+        ).max()
         hidden = 1.0 / room if room > 0.0 else math.inf
         if hidden < shared:
             shared = 0.0
@@ -195,26 +202,28 @@ class ModelError:
         return np.maximum(np.maximum(self.lost, self._late), np.minimum(early, 1.0))
 
     @property
+    def is_known(self) -> BoolArray:
+        """Whether there were enough blocks for the errors of each row, (3,)."""
+        return np.isfinite(self._early_sigma)
+
+    @property
     def _is_early(self) -> BoolArray:
         """Whether the earliness of each row is significant, (3,)."""
         return self._early > DOUBTLESS * self._early_sigma
 
     def begin_anew(self, row: int) -> None:
-        """Clear the sums of a row; its errors hold until there are enough blocks again."""
+        """Clear the sums of a row whose derivatives are learned anew.
+
+        Its errors hold until there are enough blocks again. Its lateness holds longer: delay and
+        servo stay the same, and the lateness of a few blocks is noise.
+        """
         self._gathered.clear()
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
+        if row < len(ROWS):
+            self._held[:, row], self._blocks_anew[row] = self._lateness[:, row], 0
         if self._least_squares:
             self._least_squares.begin_anew(row)
-
-    def forget(self, row: int) -> None:
-        """Clear the sums and errors of a row whose derivatives are learned anew."""
-        self.begin_anew(row)
-        for errors in (self.share, self.saturation, self._early, self._late, self._backlash):
-            errors[row] = 0.0
-        self._early_sigma[row] = np.inf
-        if self._least_squares:
-            self._least_squares.forget(row)
 
     def add(
         self,
@@ -265,6 +274,7 @@ class ModelError:
         self._zy[:, at] = (weighted @ block.y[rows, :, None])[:, :, 0]
         self._squares[:, at] = np.add.reduce(weight * block.residual[rows] ** 2, axis=1)
         self._blocks += 1
+        self._blocks_anew += 1
         self._settled += settled
         self._look(np.append(ratio, roll_ratio)[rows], effect)
 
@@ -304,8 +314,7 @@ class ModelError:
             return  # too few blocks for a scatter
         losses = self._find(slice(count), _PAIRS, ratio, effect)
         moments = losses.informative[: len(ROWS)]
-        late = np.clip(losses.late[: len(ROWS)], 0.0, 1.0)
-        self._late = np.where(moments, late, self._late)
+        self._follow_lateness(losses)
         if losses.informative[len(ROWS) :].all():
             self.height = float(losses.size[len(ROWS) :, 0, 1].sum())
         saturation, sure = losses.saturation, losses.sure[: len(ROWS)]
@@ -316,6 +325,23 @@ class ModelError:
         newest = self._settled if k < self._settled < count else count
         blocks = np.arange(self._blocks - newest, self._blocks) % BLOCKS
         self._follow_earliness(self._find(blocks, _LATE[:1], ratio, effect, loading=ROUNDING))
+
+    def _follow_lateness(self, losses: Losses) -> None:
+        """Take over the lateness, averaged with that of before the rows began anew.
+
+        Both are weighted by their precision (inverse-variance weighting). The former leaves with
+        time as its blocks would have.
+        """
+        rows = slice(len(ROWS))
+        sigma = losses.sigma[rows, : len(_LATE), _LATE[0].index(_LATENESS)].min(axis=1)
+        precision = 1.0 / np.maximum(np.square(sigma), ROUNDING)
+        late, held = self._held
+        held = held * np.maximum(1.0 - self._blocks_anew / BLOCKS, 0.0)
+        both = held + precision
+        mean = (held * late + precision * losses.late[rows]) / both
+        moments = losses.informative[rows]
+        self._lateness = np.where(moments, (mean, both), self._lateness)
+        self._late = np.clip(self._lateness[0], 0.0, 1.0)
 
     def _follow_earliness(self, losses: Losses) -> None:
         """Take over the earliness; keep a significant one unless these losses refute it.

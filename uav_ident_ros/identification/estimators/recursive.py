@@ -20,7 +20,7 @@ from uav_ident_ros.identification.estimators.model_error import ModelError, know
 from uav_ident_ros.identification.gates import ExcitationGate
 from uav_ident_ros.identification.prior import Start, weak_sigma
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.residuals import Feedback
+from uav_ident_ros.identification.residuals import UNKNOWN_ANSWER, Feedback
 from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     LOOK_TIME,
@@ -337,7 +337,10 @@ class RecursiveRegression(Estimator):
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
             sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
-            for change in self._detector.look(linear, sigma, outlying):
+            error = np.where(self._error.is_known, self.model_error, 1.0)
+            # What an autopilot answers beside injected signals is not known.
+            answers = UNKNOWN_ANSWER if self._injected else self._feedback.largest_answer
+            for change in self._detector.look(linear, sigma, outlying, error, answers):
                 column = MAIN_COLUMNS[change.row] if change.column is None else change.column
                 self.changes.append((change.row, int(column)))
                 self._release(change)
@@ -364,10 +367,7 @@ class RecursiveRegression(Estimator):
         for other in others:
             alike = (columns[other] == column) * before[other]
             self._reset(other, alike / effect * size, change.after)
-        if column == CONSTANT_COLUMN:
-            self._error.begin_anew(row)
-        else:
-            self._error.forget(row)
+        self._error.begin_anew(row)
         self._since_sigma = np.inf
 
     def _reset(self, row: int, moved: FloatArray, samples: Regression) -> None:
