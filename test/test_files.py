@@ -161,6 +161,7 @@ REFUSED = [
     ("/**:\n  ros__parameters:\n    '': 1\n", "line 3: there is no key"),
     ("bad name:\n  ros__parameters:\n    a: 1\n", "'bad name' is no node name"),
     ("ros__parameters:\n  a: 1\n", "line 1: there is no node name before"),
+    ("/**:\n  ros_parameters:\n    a: 1\n", "line 2: 'ros_parameters' has to be 'ros__parameters'"),
     ("/**:\n  ros__parameters:\n    a: {b: 1\n", r"expected ',' or '\}'"),
     ("/**:\n  ros__parameters:\n\ta: 1\n", "line 3: there is a tab: YAML is indented with"),
     ("[1, 2]\n", "line 1: the file holds a value"),

@@ -106,6 +106,16 @@ def test_a_bad_bag_does_not_stop_the_others(replayed: tuple[Path, Any]) -> None:
     assert f"\nwritten to {output}{os.sep}; table: {output / 'flights.csv'}" in done.stdout
 
 
+def test_parameter_files_that_are_not_read_are_named(tmp_path: Path) -> None:
+    for day in ("monday", "tuesday"):
+        (tmp_path / day).mkdir()
+        (tmp_path / day / "flight.mcap").touch()
+        (tmp_path / day / "identifier.yaml").touch()
+    done = python("-m", "uav_ident_ros", "replay", str(tmp_path), "--output", str(tmp_path / "out"))
+    unread = "replay: 2 bags have a parameter file beside them, which was not read, as "
+    assert f"{unread}{tmp_path / 'monday' / 'identifier.yaml'}: give one of all" in done.stderr
+
+
 def test_parallel_replays_equal_single_ones(
     logs: Path, warm: Path, replayed: tuple[Path, Any], tmp_path: Path
 ) -> None:

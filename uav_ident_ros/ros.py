@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Common parts of the ROS nodes: stamps from nanoseconds, and latched topics."""
+"""Common parts of the ROS nodes: stamps from nanoseconds, latched topics, the domain."""
+
+import os
 
 from builtin_interfaces.msg import Time
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -16,6 +18,11 @@ def latched(depth: int) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
     )
+
+
+def domain() -> str:
+    """Return the words for the ROS domain of this process, in questions about a silent topic."""
+    return f"with ROS_DOMAIN_ID {os.environ.get('ROS_DOMAIN_ID') or '0'}"
 
 
 def to_stamp(t_ns: int) -> Time:

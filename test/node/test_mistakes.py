@@ -84,7 +84,7 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
     # mistake: required text, and the changes that cause it
     "armed is set, nobody publishes it": ("no message on '/armed' yet: nobody", {"armed": None}),
     "no driver": (
-        "nobody publishes '/imu/data': no other topic fits: does its source run, with ROS_DOMAIN",
+        "nobody publishes '/imu/data': no other topic fits; does its source run, with ROS_DOMAIN",
         {"imu": None}),
     "another name": (
         "'/imu/data_raw' carries sensor_msgs/msg/Imu: start with -r imu/data:=/imu/data_raw",

@@ -230,6 +230,7 @@ def test_a_very_short_flight_with_an_odd_name_has_a_report(tmp_path: Path) -> No
     assert words(one(verdict, "strong")).startswith("Not usable: ")
     assert words(one(verdict, "p[@class='first']")).startswith("First: The aircraft hardly flew")
     assert [a["name"] for a in summary_of(output)["advice"]] == ["never_flew", "short_flight"]
+    assert not summary_of(output)["modes"], "nothing was learned"
     assert words(one(verdict, "ol")).strip().startswith("The flight is short, 2 s")
     fits, *_ = rows_of(page, "After 30 s").values()
     assert [*map(exact, fits)] == [None] * 3

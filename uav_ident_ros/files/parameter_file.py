@@ -213,6 +213,8 @@ def _sections(node: Any, name: str, owner: str) -> Iterator[tuple[str, str, Para
     """Yield section, dotted name and value of each parameter; for each section an empty name."""
     for key, value in _entries(node, owner):
         if not key.value.startswith(PARAMETERS_KEY):
+            if key.value.replace("_", "") == PARAMETERS_KEY.replace("_", ""):
+                raise malformed(key, f"'{key.value}' has to be '{PARAMETERS_KEY}'")
             separator = "" if not name or name.endswith("/") else "/"
             yield from _sections(value, f"{name}{separator}{key.value}", f"'{key.value}'")
             continue

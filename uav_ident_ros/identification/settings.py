@@ -518,7 +518,9 @@ class Settings:
         settings = cls()
         for name, value in values.items():
             if name not in known:
-                meant = nearest(name, known) or "see the parameter table"
+                group = ", ".join(other for other in known if other.startswith(f"{name}."))
+                meant = f"there are {group}" if group else nearest(name, known)
+                meant = meant or "see docs/parameters.md"
                 raise SettingsError(f"there is no parameter '{name}': {meant}")
             if value is None:
                 value = known[name].default if not known[name].type.endswith("[]") else ()

@@ -252,8 +252,8 @@ def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
         )
     else:
         log.findings.lost.append(
-            "no speed of flight is in the log: set airspeed.reference to the usual airspeed, which "
-            "the forces on wings go with"
+            "no speed of flight is in the log: set airspeed.reference to the usual airspeed, at "
+            "which the coefficients hold"
         )
     return values
 

@@ -23,6 +23,7 @@ from uav_ident_ros.guest import Guest
 from uav_ident_ros.messages.published import NAMED
 from uav_ident_ros.monitor.watched_node import WatchedNode
 from uav_ident_ros.node.ending import Ending
+from uav_ident_ros.ros import domain
 
 OUTPUT_TYPE = "sensor_msgs/msg/JointState"
 
@@ -129,13 +130,14 @@ def once(guest: Guest, node: str | None, timeout: float) -> int:
 
     node = node or find(guest, timeout)
     if not node:
-        print(f"monitor: no identifier was found for {timeout:g} s", file=sys.stderr)
+        found = f"no identifier was found for {timeout:g} s: does one run, {domain()}?"
+        print(f"monitor: {found}", file=sys.stderr)
         return NOTHING_RECEIVED
     watched = listen(guest, node)
     guest.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
     if watched.newest is None and not watched.state:
         others = ", ".join(identifiers(guest))
-        there = f"; running: {others}" if others else ""
+        there = f"; running: {others}" if others else f": does it run, {domain()}?"
         print(f"monitor: no message of '{node}' for {timeout:g} s{there}", file=sys.stderr)
         return NOTHING_RECEIVED
     View(plain=True).show(watched)

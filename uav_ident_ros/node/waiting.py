@@ -6,7 +6,6 @@ The ROS graph gives the publishers of an input, their types and QoS, and alterna
 
 import difflib
 import itertools
-import os
 import time
 from collections import Counter, deque
 from collections.abc import Iterable
@@ -21,6 +20,7 @@ from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.messages.published import NAMED
 from uav_ident_ros.messages.streams import EXCITATION_END
 from uav_ident_ros.node.inputs import Input
+from uav_ident_ros.ros import domain
 
 INCOMPATIBLE_QOS: dict[str, tuple[ReliabilityPolicy | DurabilityPolicy, ...]] = {
     "reliability": (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE),
@@ -72,8 +72,7 @@ def _alternative_topic(node: Node, wanted: Input) -> str:
             kind = fitting[best]
             typed = "" if kind == own else f" -p {stream.setting}:={kind}"
             return f"'{best}' carries {kind}: start with -r {stream.topic}:={best}{typed}"
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    return f"no other topic fits: does its source run, with ROS_DOMAIN_ID {domain}?"
+    return f"no other topic fits; does its source run, {domain()}?"
 
 
 def _published(node: Node) -> dict[str, list[str]]:

@@ -13,6 +13,7 @@ from uav_ident_ros.files.meanings import (
     INPUT_WORDS,
     MEANINGS,
 )
+from uav_ident_ros.identification.samples import ACTUATORS
 from uav_ident_ros.identification.speed import unmeasured
 from uav_ident_ros.identification.structure import CONSTANT, INPUTS, ROWS
 from uav_ident_ros.offline.evidence import ROW_FORCES, Evidence
@@ -106,7 +107,13 @@ def never_flew(e: Evidence) -> Iterator[str]:
 
 def no_excitation(e: Evidence) -> Iterator[str]:
     """Yield advice if no surface moved: then there is no model to judge."""
-    if (e.input_spread[: INPUTS.index("dth")] < STILL).all():
+    actuators = e.streams.get(ACTUATORS)
+    if actuators and actuators.received == sum(actuators.dropped.values()):
+        yield (
+            "no message of the actuators could be used: the effects of the surfaces are unknown; "
+            "look at 'actuators.type', 'actuators.channels' and the stamps"
+        )
+    elif (e.input_spread[: INPUTS.index("dth")] < STILL).all():
         multirotor = e.settings.actuators.multirotor
         what = "roll, pitch or yaw input" if multirotor else "surface"
         yield (
@@ -200,10 +207,10 @@ def unknown_delay(e: Evidence) -> Iterator[str]:
         if e.delay.delay < -DELAY_SIGMAS * e.delay.sigma:
             found += ": they seem to follow the motion, as an autopilot's answers do, or are late"
         yield (
-            f"the flight does not show the delay of the inputs ({found}; {e.delay_in_use:.3f} s in "
-            "use), and a wrong one falsifies every control derivative: step the surfaces without "
-            "feedback, as 3-2-1-1 inputs do, or measure the delay on the ground and set "
-            "'actuators.delay'"
+            f"the flight does not show the delay of the inputs ({found}; "
+            f"{1e3 * e.delay_in_use:.0f} ms in use), and a wrong one falsifies every control "
+            "derivative: step the surfaces without feedback, as 3-2-1-1 inputs do, or measure the "
+            "delay on the ground and set 'actuators.delay'"
         )
 
 
@@ -229,7 +236,8 @@ def leans_on_force(e: Evidence) -> Iterator[str]:
     if points:
         yield (
             "the predictions lean on specific forces, which a controller does not know ahead: with "
-            f"the measured ones the fit is higher, in points, {', '.join(points)}"
+            f"the measured ones the fit is higher, in points, {', '.join(points)}; fly in calmer "
+            "air, or excite the aircraft for longer"
         )
 
 

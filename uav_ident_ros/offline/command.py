@@ -15,7 +15,14 @@ from uav_ident_ros.commandline import end_as_on_ctrl_c, reader_has_gone
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import find_bags, names_of
 from uav_ident_ros.offline.fleet import arrow, rows_of, write_flights
-from uav_ident_ros.offline.job import VERDICTS, Job, Outcome, replay, reserved
+from uav_ident_ros.offline.job import (
+    VERDICTS,
+    Job,
+    Outcome,
+    parameters_beside,
+    replay,
+    reserved,
+)
 from uav_ident_ros.offline.parallel import replay_all
 from uav_ident_ros.offline.tables import (
     AXES,
@@ -148,6 +155,11 @@ def _many(options: argparse.Namespace, folder: Path) -> int:
     named = zip(bags, names_of(bags), strict=True)
     jobs = [_job(options, bag, name, folder / own.format(name)) for bag, name in named]
     outcomes = _all(jobs, options)
+    if unread := [] if options.params_file else [*filter(None, map(parameters_beside, bags))]:
+        _warn(
+            f"{len(unread)} bags have a parameter file beside them, which was not read, as "
+            f"{unread[0]}: give one of all bags as --params-file, or replay each bag by itself"
+        )
     rows = [row for outcome in outcomes for row in rows_of(outcome)]
     tables = ", ".join(map(str, write_flights(folder, rows)))
     written = options.output or own.format("NAME")

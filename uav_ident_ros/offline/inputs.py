@@ -74,8 +74,8 @@ def _choose(bag: Bag, stream: Stream, requested: str | None, wanted: str) -> str
     topic = requested or _find_topic(bag, stream, types)
     msgtype = bag.type_of(topic)
     if msgtype not in types:
-        known = ", ".join(stream.types)
-        reason = f"'{stream.setting}' is '{wanted}'" if wanted else f"known are {known}"
+        known = f"'{stream.topic}' may be {', '.join(stream.types)}"
+        reason = f"'{stream.setting}' is '{wanted}'" if wanted else known
         raise BagError(f"bag '{bag.path}': topic '{topic}' is of type {msgtype}, but {reason}")
     return topic
 
@@ -87,9 +87,10 @@ def _find_topic(bag: Bag, stream: Stream, types: Collection[str]) -> str:
         return default
     found = candidates(bag, types)
     if not found:
+        cure = f"record one, or leave '{stream.setting}' empty" if stream.optional else "record one"
         raise BagError(
             f"bag '{bag.path}' has neither a topic '{default}' nor one of type "
-            f"{' or '.join(types)}; it has {bag.contents()}"
+            f"{' or '.join(types)}; it has {bag.contents()}: {cure}"
         )
     if len(found) > 1:
         listed = "".join(f"\n  {_described(bag, topic)}" for topic in found)

@@ -126,8 +126,10 @@ class Replayed:
 
     @cached_property
     def modes(self) -> list[Mode]:
-        """Modes of the model in level flight at the last airspeed; none without flow angles."""
+        """Modes in level flight at the last airspeed; none without flow angles or learning."""
         last = self.run.estimates[-1]
+        if not any(estimate.adapting for estimate in self.run.estimates):
+            return []
         airspeed = last.flow.airspeed if last.flow is not None else 0.0
         return level_modes(self.run.structure, last.coefficients, last.sigma, airspeed)
 

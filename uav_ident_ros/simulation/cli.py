@@ -183,7 +183,7 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
     if options.seed < 0:
         parser.error(f"--seed is {options.seed}: it must be 0 or more")
     if options.output.exists():
-        parser.error(f"--output: '{options.output}' exists already")
+        parser.error(f"--output: '{options.output}' exists already: choose another")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

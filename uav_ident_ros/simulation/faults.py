@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from uav_ident_ros.files.strict_yaml import comma
 from uav_ident_ros.simulation.aircraft import FOOT
 from uav_ident_ros.simulation.channels import PLAIN, QUADROTOR
 from uav_ident_ros.simulation.flight import SimulationError
@@ -78,7 +79,7 @@ def parse_fault(text: str) -> Fault:
     before, colon, command = text.rpartition(":")
     words = command.split()
     try:
-        time = float(before) if colon else -math.inf
+        time = _within(before, -math.inf, math.inf) if colon else -math.inf
         match words:
             case ["repaired"]:
                 return Fault("repaired", time=time)
@@ -104,7 +105,10 @@ def parse_fault(text: str) -> Fault:
 
 
 def _within(text: str, low: float, high: float) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"'{text}' is no number{comma(text)}") from None
     if not low <= value <= high:  # NaN fails too
         raise ValueError(f"{text} is not within {low:g} to {high:g}")
     return value
