@@ -59,7 +59,7 @@ TESTS: dict[str, tuple[str, ...]] = {
 """Quick tests of a module in its folder of test/, if not just test_MODULE.py."""
 
 GIVEN = {
-    "units": {"GRAVITY", "NS", "SECOND_NS"},
+    "units": {"GRAVITY", "NS", "NS_PER_S"},
     "what a number or a stamp can hold": {
         "LATEST_STAMP", "LEAST_RESIDUAL", "NO_TICK", "NEGLIGIBLE", "POWERLESS", "UNKNOWN",
     },

@@ -37,7 +37,7 @@ from uav_ident_ros.client import (
 from uav_ident_ros.control import LAWS, Effect, Gains, RateController
 from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import FLU_TO_FRD, header_ns, stamp_ns, xyz
+from uav_ident_ros.messages.types import FLU_TO_FRD, NS_PER_S, header_ns, stamp_ns, xyz
 from uav_ident_ros.node.notices import without_numbers
 from uav_ident_ros.node.program import read_parameters, run, spin
 
@@ -98,7 +98,7 @@ class ControllerExample(Node):
         self._excitation = Excitation(value["excitation_limit"])
         subscribe_excitation(self, self._excitation)
         self._references: History[FloatArray] = History()
-        self._reference_delay_ns = round(value["reference_delay"] * 1e9)
+        self._reference_delay_ns = round(value["reference_delay"] * NS_PER_S)
         self._reported = (0, "")
         best_effort = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._commands: Publisher | None = None
@@ -185,7 +185,7 @@ class ControllerExample(Node):
         report = without_numbers(line)
         last_ns, logged = self._reported
         changed = report != logged
-        if not changed and 0 <= t_ns - last_ns < REPORT_PERIOD * 1e9:
+        if not changed and 0 <= t_ns - last_ns < REPORT_PERIOD * NS_PER_S:
             return
         if changed and why:
             self.get_logger().warning(line)

@@ -32,8 +32,7 @@ from rosbags.interfaces import (
 )
 
 from uav_ident_ros.bags.limits import decompressed
-
-NS = 1e-9
+from uav_ident_ros.identification.samples import NS
 
 FORMATS = {"ros2msg": MessageDefinitionFormat.MSG, "ros2idl": MessageDefinitionFormat.IDL}
 """Encodings of the definitions in a file."""

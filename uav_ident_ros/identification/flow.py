@@ -40,6 +40,10 @@ Vector = tuple[float, float, float]
 Force = tuple[list[tuple[int, float]], float]
 """A force row: entries of a sample with their coefficients, and the slope by the flow angle."""
 
+Steps = tuple[FloatArray, FloatArray, FloatArray, bool, bool]
+"""Steps of a block: durations, s, rates, rad/s, and specific forces, m/s^2; whether they show the
+axes, and whether the forces have a correction for a lever arm."""
+
 
 class FlowState(NamedTuple):
     """Attitude, flow angles and airspeed at a tick: the model's state beside the rates.
@@ -94,9 +98,7 @@ class FlowObserver:
         self.gyro = GyroFilters()
         # Whether the attitude was replaced after the last block: it had drifted with a gyro bias
         self.realigned = False
-        # Steps that `gyro` has not seen: durations, s, rates, rad/s, specific forces, m/s^2;
-        # whether they show the axes, and whether the forces have a correction for a lever arm
-        self._steps: list[tuple[FloatArray, FloatArray, FloatArray, bool, bool]] = []
+        self._steps: list[Steps] = []  # Those that `gyro` has not seen
         self._steps_time = 0.0  # s
 
     @property
@@ -146,7 +148,6 @@ class FlowObserver:
             self._steps_time = 0.0
             self.gyro.restart()
         unbiased = (rates - self.gyro.bias).tolist()
-        slow = 0.0 if self.gyro.found else 0.25 * ATTITUDE_GAIN
         a = coefficients.tolist()
         missing = [(a[rows.kinematics][_ROLL], a[rows.kinematics][_BIAS]) for rows in self._rows]
         forces: list[Force] = [
@@ -154,70 +155,77 @@ class FlowObserver:
             for rows in self._rows
         ]
         if block.restarted:
-            self._restart(samples[0], unbiased[0], forces, v)
+            self._restart(samples[0], unbiased[0], forces)
         edges = [(*self.angles, *self.down)]
         for dt, sample, turn in zip(plan.times, samples, unbiased, strict=True):
-            # Gravity turns against the aircraft, and is corrected towards that of the sample.
-            (mx, my, mz), weight = _gravity(sample[-3:], turn, v)
-            (p, q, r), (gx, gy, gz), (bx, by, bz) = turn, self.down, self._bias
-            gain = ATTITUDE_GAIN * weight
-            ex, ey, ez = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
-            integral = slow * gain * dt  # critically damped
-            bx, by, bz = self._bias = (bx - integral * ex, by - integral * ey, bz - integral * ez)
-            wx, wy, wz = p - bx + gain * ex, q - by + gain * ey, r - bz + gain * ez
-            x = gx - dt * (wy * gz - wz * gy)
-            y = gy - dt * (wz * gx - wx * gz)
-            z = gz - dt * (wx * gy - wy * gx)
-            size = (x * x + y * y + z * z) ** 0.5
-            self.down = (x / size, y / size, z / size)
-            # The flow angles: exact for signals that are constant over the step. The constants of
-            # their kinematics contain the bias of the gyro.
-            p, q, r = sample[:3]
-            measured = _measured_angles(sample, forces)
-            (beta, alpha), keep = self.angles, exp(-self._rate * dt)
-            for k, turning in ((0, p * alpha - r), (1, q - p * beta)):
-                by_p, bias = missing[k]
-                rate = turning + (sample[k - 2] + GRAVITY * self.down[1 + k]) / v
-                aim = measured[k] + (rate + by_p * p + bias) / self._rate
-                self.angles[k] = aim + keep * (self.angles[k] - aim)
+            self._turn(dt, turn, sample[-3:])
+            self._move_angles(dt, sample, forces, missing)
             edges.append((*self.angles, *self.down))
         block.state = np.concatenate((block.x, plan.lines @ np.array(edges)), axis=1)
         block.airspeed = v
         block.restarted = block.restarted or self.realigned
         corrected = block.by_turning is not None
-        self._find_bias(np.array(plan.times), rates, force, v, shows_axes, corrected)
+        self._find_bias((np.array(plan.times), rates, force, shows_axes, corrected))
 
-    def _find_bias(
+    def _turn(self, dt: float, rates: list[float], force: list[float]) -> None:
+        """Turn the down vector over a step, and correct it towards that of the specific force."""
+        (mx, my, mz), weight = _gravity(force, rates, self._speed)
+        (p, q, r), (gx, gy, gz), (bx, by, bz) = rates, self.down, self._bias
+        gain = ATTITUDE_GAIN * weight
+        ex, ey, ez = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
+        # Critically damped
+        integral = 0.0 if self.gyro.found else 0.25 * ATTITUDE_GAIN * gain * dt
+        bx, by, bz = self._bias = (bx - integral * ex, by - integral * ey, bz - integral * ez)
+        wx, wy, wz = p - bx + gain * ex, q - by + gain * ey, r - bz + gain * ez
+        x = gx - dt * (wy * gz - wz * gy)
+        y = gy - dt * (wz * gx - wx * gz)
+        z = gz - dt * (wx * gy - wy * gx)
+        size = (x * x + y * y + z * z) ** 0.5
+        self.down = (x / size, y / size, z / size)
+
+    def _move_angles(
         self,
-        times: FloatArray,
-        rates: FloatArray,
-        force: FloatArray,
-        airspeed: float,
-        shows_axes: bool,
-        corrected: bool,
+        dt: float,
+        sample: list[float],
+        forces: list[Force],
+        missing: list[tuple[float, float]],
     ) -> None:
+        """Move the flow angles over a step: exact for signals that are constant over it.
+
+        The constants of their kinematics contain the bias of the gyro.
+        """
+        p, q, r = sample[:3]
+        measured = _measured_angles(sample, forces)
+        (beta, alpha), keep = self.angles, exp(-self._rate * dt)
+        for k, turning in ((0, p * alpha - r), (1, q - p * beta)):
+            by_p, bias = missing[k]
+            rate = turning + (sample[k - 2] + GRAVITY * self.down[1 + k]) / self._speed
+            aim = measured[k] + (rate + by_p * p + bias) / self._rate
+            self.angles[k] = aim + keep * (self.angles[k] - aim)
+
+    def _find_bias(self, steps: Steps) -> None:
         """Pass the steps on when they have the length of a response, and use a bias found."""
         self.realigned = False
+        times, _, force, _, _ = steps
         if not force.any():  # No accelerometer
             return
-        self._steps.append((times, rates, force, shows_axes, corrected))
+        self._steps.append(steps)
         self._steps_time += float(times.sum())
         if self._steps_time < RESPONSE_TIME:
             return
-        *signals, shown, by_gyro = zip(*self._steps, strict=True)
-        times, rates, force = map(np.concatenate, signals)
+        *signals, shown, corrected = zip(*self._steps, strict=True)
         self._steps, self._steps_time, known = [], 0.0, self.gyro.found
-        self.gyro.add(times, rates, force, airspeed, shows_axes=all(shown), corrected=any(by_gyro))
+        times, rates, force = map(np.concatenate, signals)
+        flags = {"shows_axes": all(shown), "corrected": any(corrected)}
+        self.gyro.add(times, rates, force, self._speed, **flags)
         self.realigned = self.gyro.found and not known
         if self.gyro.found:
             x, y, z = self.gyro.down.tolist()
             self.down, self._bias = (x, y, z), (0.0, 0.0, 0.0)
 
-    def _restart(
-        self, sample: list[float], rates: list[float], forces: list[Force], v: float
-    ) -> None:
+    def _restart(self, sample: list[float], rates: list[float], forces: list[Force]) -> None:
         """Initialise attitude and flow angles from the first sample."""
-        direction, weight = _gravity(sample[-3:], rates, v)
+        direction, weight = _gravity(sample[-3:], rates, self._speed)
         if weight > 0.0:
             self.down = direction
         self.angles = _measured_angles(sample, forces)

@@ -362,7 +362,7 @@ class OnlineIdentifier:
         specific_force : sequence of 3 floats, optional
             Specific force, m/s^2; taken as zero if not measured.
         """
-        force = _NO_FORCE if specific_force is None else specific_force
+        force = (0.0, 0.0, 0.0) if specific_force is None else specific_force
         return self.intake.add_rates(t_ns, pqr, force)
 
     def add_actuators(self, t_ns: int, values: Sequence[float]) -> Drop | None:
@@ -724,6 +724,3 @@ class OnlineIdentifier:
             state=state.value,
             reason=why,
         )
-
-
-_NO_FORCE = (0.0, 0.0, 0.0)

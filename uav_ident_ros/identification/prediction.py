@@ -32,7 +32,7 @@ from uav_ident_ros.identification.model import (
     with_measured_force,
     with_own,
 )
-from uav_ident_ros.identification.samples import NS, TimeArray
+from uav_ident_ros.identification.samples import NS, NS_PER_S, TimeArray
 from uav_ident_ros.identification.structure import (
     EXOGENOUS_COLUMNS,
     INPUTS,
@@ -77,7 +77,7 @@ class InputSignal:
     @property
     def delay_ns(self) -> int:
         """Transport delay, ns."""
-        return round(self.delay * 1e9)
+        return round(self.delay * NS_PER_S)
 
     def at(self, t_ns: TimeArray) -> FloatArray:
         """Evaluate the inputs at the times `t_ns`, ns, shape (len(t_ns), 4).
@@ -288,7 +288,7 @@ def window_errors(flown: Flown, published: Published) -> WindowErrors:
     ticks, structure = published.t_ns, published.structure
     # Before its start where the flight does not cover the window
     lengths = [
-        np.where(_covered(flown, ticks, horizon), round(horizon * 1e9), -1) for horizon in HORIZONS
+        np.where(_covered(flown, ticks, ahead), round(ahead * NS_PER_S), -1) for ahead in HORIZONS
     ]
     ends = ticks[:, None] + np.stack(lengths, axis=1)
     first = np.searchsorted(flown.t_ns, ticks, side="right")
@@ -323,7 +323,7 @@ def predict_ahead(
     ticks = published.t_ns
     if not len(ticks):
         return ticks, np.empty((0, 3))
-    ends = ticks + round(horizon * 1e9)
+    ends = ticks + round(horizon * NS_PER_S)
     grid = _Grid.build(flown, np.union1d(ticks, ends))
     last, predicted = np.searchsorted(grid.t_ns, ends), np.empty((len(ticks), 3))
     for node, rates in _predictions(flown, grid, published, last, free=True):
@@ -337,12 +337,12 @@ def _covered(flown: Flown, ticks_ns: TimeArray, horizon: float) -> BoolArray:
     t_ns, inputs = flown.t_ns, flown.inputs
     if not len(t_ns) or not len(inputs.t_ns):
         return np.zeros(len(ticks_ns), dtype=bool)
-    end = ticks_ns + round(horizon * 1e9)
+    end = ticks_ns + round(horizon * NS_PER_S)
     acting = inputs.t_ns + inputs.delay_ns
-    timeout_ns = round(INPUT_TIMEOUT * 1e9)
+    timeout_ns = round(INPUT_TIMEOUT * NS_PER_S)
     inside = (ticks_ns >= t_ns[0]) & (end <= t_ns[-1])
     known = (ticks_ns >= acting[0]) & (end <= acting[-1] + timeout_ns)
-    gap = _meets_gap(ticks_ns, end, t_ns, round(MAX_GAP * 1e9))
+    gap = _meets_gap(ticks_ns, end, t_ns, round(MAX_GAP * NS_PER_S))
     input_gap = _meets_gap(ticks_ns, end, acting, timeout_ns)
     return np.asarray(inside & known & ~gap & ~input_gap)
 

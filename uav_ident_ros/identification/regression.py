@@ -9,8 +9,9 @@ With sideslip and angle of attack the moment rows are regressed on ay and az, wh
 angles, ``beta = (ay - Y_p p - Y_r r - Y_dr dr) / Y_beta``. Each force row is regressed on the
 kinematics of its angle::
 
-    s H ay = Y_beta H[-r + (ay + g d_y) / V] + s H (Y_p p + Y_r r + Y_dr dr) + Y_beta (c H p + b)
-    s H az = Z_alpha H[q + (az + g d_z) / V] + Z_de s H de + Z_alpha a
+    s H ay = Y_beta H[p alpha - r + (ay + g d_y) / V] + s H (Y_p p + Y_r r + Y_dr dr)
+             + Y_beta (c H p + b)
+    s H az = Z_alpha H[q - p beta + (az + g d_z) / V] + Z_de s H de + Z_alpha a
 """
 
 from __future__ import annotations

@@ -28,6 +28,8 @@ TimeArray = NDArray[np.int64]
 NS = 1e-9
 """Seconds in a nanosecond."""
 
+NS_PER_S = 1_000_000_000
+
 
 class SampleBuffer:
     """Samples of one stream: those waiting for their tick, and those in use."""
@@ -111,8 +113,6 @@ RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
 EXCITATION = "excitation"
 """Names of the streams, the keys of `Intake.drops`."""
 
-SECOND_NS = 1_000_000_000
-
 NO_TICK = -(2**62)
 """Time of the last tick before the first, ns."""
 
@@ -122,7 +122,7 @@ LARGEST_GYRO_RATE = math.pi / STEP
 LARGEST_MOTION = 1000.0
 """Specific force, m/s^2, and airspeed, m/s, that no aircraft survives."""
 
-LATEST_STAMP = (2**31 - 1) * 1_000_000_000
+LATEST_STAMP = (2**31 - 1) * NS_PER_S
 """Last time that a ROS stamp can hold, ns: later ticks cannot be published."""
 
 
@@ -275,9 +275,9 @@ class Intake:
         }
         self._restart_all = restart
         self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
-        self._wait_ns = round(settings.input_wait * SECOND_NS)
-        self._jump_ns = round(settings.time_jump * SECOND_NS)
-        self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * SECOND_NS)
+        self._wait_ns = round(settings.input_wait * NS_PER_S)
+        self._jump_ns = round(settings.time_jump * NS_PER_S)
+        self._lookback_ns = round((MAX_DELAY + settings.actuators.timeout) * NS_PER_S)
         self._lookback_ns += 2 * self._jump_ns
         self.buffers: Mapping[str, SampleBuffer] = {}  # Those that receive the samples, by stream
         # For each stream the number of dropped samples by reason
@@ -328,7 +328,7 @@ class Intake:
             return Drop.DUPLICATE
         if self.last_tick_ns == NO_TICK:
             # The first samples may arrive in any order.
-            first = t_ns * self._rate.numerator // (SECOND_NS * self._rate.denominator)
+            first = t_ns * self._rate.numerator // (NS_PER_S * self._rate.denominator)
             first += self._tick_ns(first) < t_ns
             self._next_tick = first if self._next_tick is None else min(first, self._next_tick)
         assert self._next_tick is not None
@@ -403,7 +403,7 @@ class Intake:
         elif problem is Drop.CLOCK_MISMATCH and self.newest_ns is not None:
             self._mismatches += 1
             if self._mismatches >= IN_A_ROW:
-                off = (t_ns - self.newest_ns) / SECOND_NS
+                off = (t_ns - self.newest_ns) / NS_PER_S
                 self.fault = (
                     f"the actuators are stamped {off:+.1f} s from the Imu: they run on different "
                     "clocks. Play a bag with --clock and set use_sim_time, or synchronise the "
@@ -430,4 +430,4 @@ class Intake:
             yield self.last_tick_ns
 
     def _tick_ns(self, k: int) -> int:
-        return k * SECOND_NS * self._rate.denominator // self._rate.numerator
+        return k * NS_PER_S * self._rate.denominator // self._rate.numerator

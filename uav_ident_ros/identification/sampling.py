@@ -16,7 +16,7 @@ import numpy as np
 
 from uav_ident_ros.identification.filters import BlockFilter
 from uav_ident_ros.identification.frames import BodyFrame, centripetal, lever_arm_matrix
-from uav_ident_ros.identification.samples import NS, SampleBuffer, TimeArray
+from uav_ident_ros.identification.samples import NS, NS_PER_S, SampleBuffer, TimeArray
 from uav_ident_ros.identification.scales import IN_A_ROW, SAMPLE_TIME
 from uav_ident_ros.identification.settings import (
     EXCITATION_TIMEOUT,
@@ -38,11 +38,11 @@ class InputMap:
     def __init__(self, settings: ActuatorSettings) -> None:
         n = len(settings.channels)
         mixing = settings.mixing
-        scale = np.array(settings.scale or (1.0,) * n)
+        self._scale: FloatArray = np.array(settings.scale or (1.0,) * n)
         self._square: FloatArray = np.array(settings.thrust_curve or (0.0,) * n)
         self._bent = bool(self._square.any())
-        self._scale = scale
-        self.matrix: FloatArray = np.array([mixing.de, mixing.dr, mixing.da, mixing.dth]) * scale
+        rows = (mixing.de, mixing.dr, mixing.da, mixing.dth)
+        self.matrix: FloatArray = np.array(rows) * self._scale
         self.trim: FloatArray = np.array(settings.trim or (0.0,) * n)
 
     def apply(self, raw: FloatArray) -> FloatArray:
@@ -211,8 +211,8 @@ class Sampler:
         self._lever = lever_arm_matrix(self._arm)
         self._offset = bool(self._arm.any())
         self._actuators = settings.actuators
-        self._max_gap_ns = round(settings.filter.max_gap * 1e9)
-        self._timeout_ns = round(settings.actuators.timeout * 1e9)
+        self._max_gap_ns = round(settings.filter.max_gap * NS_PER_S)
+        self._timeout_ns = round(settings.actuators.timeout * NS_PER_S)
         self.input_map = InputMap(settings.actuators)
         self._trim_known = settings.actuators.learn_trim_time == 0.0
         self.rates = SampleBuffer(6)
@@ -220,7 +220,7 @@ class Sampler:
         self.injected = SampleBuffer(len(INPUTS))
         # Delay and lag of the inputs, s; a change of the lag begins a new stretch of blocks
         self.delay, self.time_constant = settings.actuators.delay, settings.actuators.time_constant
-        self._memory_ns = round(MAX_DELAY * 1e9)
+        self._memory_ns = round(MAX_DELAY * NS_PER_S)
         self._linear = settings.actuators.interpolation == "linear"
         self.restart()
 
@@ -241,7 +241,7 @@ class Sampler:
 
         None if they are missing or stale.
         """
-        at = t_ns - round(self.delay * 1e9)
+        at = t_ns - round(self.delay * NS_PER_S)
         self.rates.trim(t_ns)
         self.raw_inputs.trim(t_ns - self._memory_ns)
         last = self.raw_inputs.after(at) - 1
@@ -306,7 +306,7 @@ class Sampler:
 
     def _learn_trim(self) -> bool:
         """Set the trim to the mean raw channels of the first steady stretch, if there is one."""
-        span_ns = round(self._actuators.learn_trim_time * 1e9)
+        span_ns = round(self._actuators.learn_trim_time * NS_PER_S)
         newest = int(self.rates.t[-1])
         if newest - int(self.rates.t[0]) < span_ns:
             return False
@@ -334,7 +334,7 @@ class Sampler:
         start = self._edge_ns
         if start is None or start < first_ns:
             start, self._continues = first_ns, False
-        delay_ns = round(self.delay * 1e9)
+        delay_ns = round(self.delay * NS_PER_S)
         if self._linear:
             # Interpolation needs the next sample: cells wait for it, up to the stale age.
             newest = int(self.raw_inputs.t[-1]) + delay_ns
@@ -404,7 +404,7 @@ def with_zeros(
     first_ns: int,  # Time from which values are needed, ns
 ) -> tuple[TimeArray, FloatArray]:
     """Return an excitation stream with zeros before its start and in its pauses."""
-    timeout_ns = round(EXCITATION_TIMEOUT * 1e9)
+    timeout_ns = round(EXCITATION_TIMEOUT * NS_PER_S)
     silent = np.append(np.diff(t_ns) > timeout_ns, True)
     stamps = np.concatenate([t_ns, t_ns[silent] + timeout_ns])
     values = np.concatenate([v, np.zeros_like(v[silent])])

@@ -90,7 +90,7 @@ class Feed:
         self.details: dict[str, str] = {}  # Problem of the last message for each reason
         self._identifier, self._decode, self._warn = identifier, decode, warn
         self._refused: Counter[str] = Counter()
-        self._jump_ns = round(identifier.settings.time_jump * 1e9)
+        self._jump_ns = round(identifier.settings.time_jump * NS_PER_S)
         self._on_offset: Callable[[float], object] | None = on_offset
         self._unplaced: tuple[int, Any] | None = None  # Arrival, ns, and values
         self._after_ns = self._placed = 0  # Imu sample, ns, and number of messages placed after it
@@ -132,7 +132,7 @@ class Feed:
         if abs(off_ns) <= self._jump_ns:
             return self._add(arrival_ns, values)
         if self._on_offset is not None:
-            self._on_offset(off_ns * 1e-9)
+            self._on_offset(off_ns / NS_PER_S)
             self._on_offset = None
         # Messages after the same Imu sample get distinct stamps: the last one counts.
         self._placed = self._placed + 1 if newest_ns == self._after_ns else 1

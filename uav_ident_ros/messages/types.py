@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from uav_ident_ros.identification.samples import NS_PER_S as NS_PER_S
 from uav_ident_ros.identification.settings import (
     ACTUATOR_TYPES,
     AIRSPEED_TYPES,
@@ -25,7 +26,6 @@ from uav_ident_ros.identification.settings import (
 )
 from uav_ident_ros.identification.structure import INPUTS
 
-NS_PER_S = 1_000_000_000
 NS_PER_US = 1_000
 
 Vector = tuple[float, float, float]

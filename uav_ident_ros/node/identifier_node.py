@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from uav_ident_ros.files.coefficients_file import initial_coefficients
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import EXCITATION
+from uav_ident_ros.identification.samples import EXCITATION, NS
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.node import diagnostics
 from uav_ident_ros.node.ending import Ending
@@ -127,7 +127,7 @@ class IdentifierNode(Node):
                 self._estimate = estimate
                 self._outputs.publish(estimate, self._inputs.rates.frame_id or "")
                 self._excite.tick(estimate)
-                self._meter.published((self.get_clock().now().nanoseconds - t_ns) * 1e-9)
+                self._meter.published((self.get_clock().now().nanoseconds - t_ns) * NS)
         self._excite.watch()
 
     def _restart(self, why: str, *, cold: bool = False) -> None:
@@ -147,7 +147,7 @@ class IdentifierNode(Node):
             if now_ns == jump.delta.nanoseconds:
                 return  # the first /clock is no jump
             cold = jump.delta.nanoseconds < 0
-            what = f"/clock jumped by {jump.delta.nanoseconds * 1e-9:+.3f} s"
+            what = f"/clock jumped by {jump.delta.nanoseconds * NS:+.3f} s"
         else:
             cold, what = False, "the node's clock changed"
         self._restart("the time jumped", cold=cold)

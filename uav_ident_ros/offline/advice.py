@@ -236,8 +236,7 @@ def leans_on_force(e: Evidence) -> Iterator[str]:
     if points:
         yield (
             "the predictions lean on specific forces, which a controller does not know ahead: with "
-            f"the measured ones the fit is higher, in points, {', '.join(points)}; fly in calmer "
-            "air, or excite the aircraft for longer"
+            f"the measured ones the fit is higher, in points, {', '.join(points)}"
         )
 
 

@@ -32,7 +32,7 @@ from uav_ident_ros.identification.prediction import (
     score_windows,
     window_errors,
 )
-from uav_ident_ros.identification.samples import ACTUATORS, RATES, TimeArray
+from uav_ident_ros.identification.samples import ACTUATORS, NS_PER_S, RATES, TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.scales import LOOK_TIME
 from uav_ident_ros.identification.structure import FloatArray, Structure
@@ -63,7 +63,7 @@ class Stretch(Flown):
 
         The grid of a group takes some MB; that of an hour would take hundreds.
         """
-        ahead_ns = round(horizon * 1e9)
+        ahead_ns = round(horizon * NS_PER_S)
         for first in range(0, len(self.ticks), PIECE):
             ticks = self.ticks[first : first + PIECE]
             stamps = ticks.stamps()
@@ -92,9 +92,6 @@ class Bar(tqdm):
     def __init__(self, *what: Any, **options: Any) -> None:
         pace = {} if sys.stderr.isatty() else {"mininterval": LINE_EVERY, "delay": LINE_EVERY}
         super().__init__(*what, leave=False, miniters=0, **pace, **options)
-
-
-_NO_FORCE = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -197,13 +194,13 @@ class OfflineRun:
             self._actuators.append(t_ns, values, self.era)
 
     def _keep_rates(self, t_ns: int, values: Any) -> None:
-        jump_ns = round(self.inputs.settings.time_jump * 1e9)
+        jump_ns = round(self.inputs.settings.time_jump * NS_PER_S)
         if self._newest_ns is not None and abs(t_ns - self._newest_ns) > jump_ns:
             self.era += 1
             self._newest_ns = t_ns
         self._newest_ns = max(t_ns, self._newest_ns or t_ns)
         rates, force = values
-        self._rates.append(t_ns, (*rates, *(force or _NO_FORCE)), self.era)
+        self._rates.append(t_ns, (*rates, *(force or (0.0, 0.0, 0.0))), self.era)
         for feed in self._feeds.values():
             feed.settle()
 

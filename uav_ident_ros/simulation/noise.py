@@ -14,7 +14,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, RATES
+from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, NS_PER_S, RATES
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FLU_TO_FRD, FRAME_IDS
 from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError
@@ -188,7 +188,7 @@ def measure(
     return Measurements(
         flight=flight,
         sensors=sensors,
-        imu_t_ns=true_t_ns + np.rint(offset[keep] * 1e9).astype(np.int64),
+        imu_t_ns=true_t_ns + np.rint(offset[keep] * NS_PER_S).astype(np.int64),
         imu_log_ns=imu_log_ns,
         true_t_ns=true_t_ns,
         rates=rates[keep] * axes,
@@ -217,4 +217,4 @@ def _log_times(t_ns: IntArray, latency: float, rng: np.random.Generator) -> IntA
     if latency == 0.0:
         return t_ns.copy()
     wait = 0.5 * latency * (1.0 + rng.exponential(1.0, len(t_ns)))
-    return np.maximum.accumulate(t_ns + np.rint(wait * 1e9).astype(np.int64))
+    return np.maximum.accumulate(t_ns + np.rint(wait * NS_PER_S).astype(np.int64))
