@@ -124,6 +124,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("never_flew", {"lost": {AT_REST: GROUNDED_SHARE * JUST_BELOW}},
      {"lost": {AT_REST: 0.5, "not armed": 0.45}},
      "the aircraft hardly flew: 95 % of the time at rest: no rate .*, not armed; take a flight"),
+    ("contradiction", {}, {"contradiction": "the gyro looks like deg/s: convert it"}, "deg/s"),
     ("no_excitation", moves(0.0, 0.0, 0.1, 0.1), moves(0.0, 0.0, 0.0, 0.1),
      "no surface moved: .* 'actuators.channels'"),
     ("no_excitation", moves(0.0, 0.0, 0.1, 0.1), moves(0.0, 0.0, 0.0, 0.1) | {"settings": QUAD},
@@ -273,6 +274,9 @@ def test_a_cause_suppresses_the_advice_on_its_consequences() -> None:
         imu_rate=20.0,
     )
     assert [advice.name for advice in advise(bad)] == ["never_flew", "slow_streams"]
+    swapped = replace(bad, lost={}, contradiction="elevator and rudder are swapped: exchange them")
+    assert [advice.name for advice in advise(swapped)] == ["contradiction", "slow_streams"]
+    assert advise(swapped)[0].text == swapped.contradiction
     flying = [advice.name for advice in advise(replace(bad, lost={"too little excitation": 0.9}))]
     assert flying[:4] == ["slow_streams", "gated", "wrong_delay", "wrong_sign"]
     assert "no_better_than_holding" in flying

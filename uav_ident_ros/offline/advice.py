@@ -105,6 +105,12 @@ def never_flew(e: Evidence) -> Iterator[str]:
         )
 
 
+def contradiction(e: Evidence) -> Iterator[str]:
+    """Yield the contradiction between signals and settings, such as a gyro in deg/s."""
+    if e.contradiction:
+        yield e.contradiction
+
+
 def no_excitation(e: Evidence) -> Iterator[str]:
     """Yield advice if no surface moved: then there is no model to judge."""
     actuators = e.streams.get(ACTUATORS)
@@ -342,8 +348,12 @@ def collinear_groups(e: Evidence) -> Iterator[str]:
         )
 
 
-ROOT_CAUSES: tuple[Callable[[Evidence], Iterator[str]], ...] = (never_flew, no_excitation)
-"""Advice on bags without a model: no other advice on the model applies."""
+ROOT_CAUSES: tuple[Callable[[Evidence], Iterator[str]], ...] = (
+    never_flew,
+    contradiction,
+    no_excitation,
+)
+"""Advice on bags without a model, or with a wrong one: no other advice on it applies."""
 
 ADVICE: tuple[Callable[[Evidence], Iterator[str]], ...] = (
     *ROOT_CAUSES,

@@ -68,6 +68,7 @@ class Evidence:
     # (3, n) Standard deviations without the bias of settings that are off, and the error, by row
     scatter: FloatArray | None = None
     setup: tuple[str, ...] = ()
+    contradiction: str = ""  # Between signals and settings, with its cure; empty if there is none
     # (4,) Share of each input's motion that is feedback of disturbances, significantly
     answers: FloatArray = field(default_factory=lambda: np.zeros(len(INPUTS)))
     # Counts of received and dropped messages of each stream
@@ -118,6 +119,7 @@ def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
         },
         scatter=identifier.estimator.sigma.copy(),
         setup=tuple(identifier.setup_doubts),
+        contradiction=identifier.plausibility.fault,
         answers=identifier.estimator.answers.copy(),
         streams={name: run.refusals(name) for name in run.inputs.streams},
     )
