@@ -523,6 +523,7 @@ def test_excitation_messages_of_unknown_inputs_are_dropped(tmp_path: Path) -> No
         ("replay bag bag", "mcap", "apt does not have it"),
         ("replay bag bag", "pyarrow", "pip install pyarrow"),
         ("import_log log", "rosbags", "apt does not have it"),
+        ("simulate --output nowhere", "rosbags", "apt does not have it"),
         ("monitor", "rich", "install python3-rich from apt"),
     ],
 )

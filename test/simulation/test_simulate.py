@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from excerpts import BAGS, decoded
-from programs import Capture, python, refusal
+from programs import Capture, refusal
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.simulation.cli import main
@@ -97,17 +97,6 @@ def test_bad_arguments_are_refused_in_one_line_with_status_2(
     arguments = ["--output", str(tmp_path / "bag"), *options.split()]
     assert named in refusal(main, arguments, capsys)
     assert not (tmp_path / "bag").exists()
-
-
-def test_the_error_of_a_missing_library_is_that_of_all_commands() -> None:
-    program = (
-        "import sys; sys.modules['rosbags'] = None\n"
-        "from uav_ident_ros.commandline import simulate\n"
-        "sys.exit(simulate(['--output', 'nowhere']))"
-    )
-    done = python("-c", program)
-    assert done.returncode == 2
-    assert "simulate: the Python package 'rosbags' is missing: apt does not" in done.stderr
 
 
 def test_an_existing_folder_is_refused(tmp_path: Path, capsys: Capture) -> None:
