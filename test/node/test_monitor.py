@@ -138,6 +138,7 @@ def test_once_without_a_node_or_messages_ends_with_an_error(start_monitor: Start
         assert monitor.returncode == 3
         assert shown == ""
         assert errors.count("\n") == 1
+        assert "for 1 s" in errors
         assert "run, with ROS_DOMAIN_ID" in errors
 
 

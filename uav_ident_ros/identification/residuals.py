@@ -120,6 +120,12 @@ UNKNOWN_ANSWER = np.full(len(ROWS), 1.0 / ROUNDING)
 """`Feedback.largest_answer` before there is any: as good as infinite."""
 
 
+def by_plane(squares: FloatArray) -> FloatArray:
+    """Return the mean squares of each row's plane, (3,): roll and yaw have one."""
+    across = squares[0] + squares[2]
+    return np.array([across, squares[1], across])
+
+
 class Feedback:
     """Share of the inputs that past residuals explain: feedback, which is no information.
 
@@ -235,8 +241,7 @@ class Feedback:
         surely = 1.0 + SURE * np.sqrt(2.0 / (n - 1))
         sure = share > chance * surely
         # Does the share move more than the gusts of its plane? No rate loop moves the throttle.
-        gusts = np.diag(covariance)[self._gusts].copy()
-        gusts[[0, 2]] = gusts[0] + gusts[2]  # roll and yaw
+        gusts = by_plane(np.diag(covariance)[self._gusts])
         answered = (share * variance)[MAIN_PLACES]
         self.largest_answer = answered / np.maximum(gusts, ROUNDING * answered + TINY)
         stronger = np.ones(len(INPUTS), dtype=bool)

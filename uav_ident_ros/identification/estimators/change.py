@@ -21,6 +21,7 @@ import numpy as np
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, POWERLESS
 from uav_ident_ros.identification.prediction import HORIZONS
 from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.residuals import by_plane
 from uav_ident_ros.identification.scales import (
     DOUBTLESS,
     GUST_TIME,
@@ -215,9 +216,7 @@ class ChangeDetector:
         self, answers: FloatArray, window: Regression, residual: FloatArray
     ) -> FloatArray:
         """Return the largest share of each main input's motion that answers disturbances, (3,)."""
-        disturbance = np.add.reduce(residual * residual) / len(residual)
-        disturbance[[0, 2]] = disturbance[0] + disturbance[2]  # roll and yaw
-        answered = answers * disturbance
+        answered = answers * by_plane(np.add.reduce(residual * residual) / len(residual))
         moved = window.f[:, MAIN_COLUMNS].var(axis=0)
         return np.asarray(answered / np.maximum(moved, np.maximum(answered, TINY)))
 

@@ -151,10 +151,8 @@ class ModelError:
         self._early: FloatArray = np.zeros(len(ROWS))
         self._early_sigma: FloatArray = np.full(len(ROWS), np.inf)
         self._rate: FloatArray = np.zeros(len(ROWS))
-        # Loss by lateness, significant or not, beyond what feedback may cause, 0 ... 1
-        self._late: FloatArray = np.zeros(len(ROWS))
-        # The same, unbounded, and its precision, 1 / sigma^2; those of before a row began anew, and
-        # the number of its blocks since
+        # Loss by lateness, significant or not, beyond what feedback may cause, and its precision,
+        # 1 / sigma^2; those of before a row began anew, and the number of its blocks since
         self._lateness, self._held = np.zeros((2, 2, len(ROWS)))
         self._blocks_anew = np.full(len(ROWS), BLOCKS)
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
@@ -202,6 +200,11 @@ class ModelError:
         return np.maximum(np.maximum(self.lost, self._late), np.minimum(early, 1.0))
 
     @property
+    def _late(self) -> FloatArray:
+        """Most likely loss by lateness, (3,), 0 ... 1."""
+        return np.asarray(np.clip(self._lateness[0], 0.0, 1.0))
+
+    @property
     def is_known(self) -> BoolArray:
         """Whether there were enough blocks for the errors of each row, (3,)."""
         return np.isfinite(self._early_sigma)
@@ -220,8 +223,7 @@ class ModelError:
         self._gathered.clear()
         for sums in (self._zf, self._zz, self._zy, self._squares):
             sums[row] = 0.0
-        if row < len(ROWS):
-            self._held[:, row], self._blocks_anew[row] = self._lateness[:, row], 0
+        self._held[:, row], self._blocks_anew[row] = self._lateness[:, row], 0
         if self._least_squares:
             self._least_squares.begin_anew(row)
 
@@ -341,7 +343,6 @@ class ModelError:
         mean = (held * late + precision * losses.late[rows]) / both
         moments = losses.informative[rows]
         self._lateness = np.where(moments, (mean, both), self._lateness)
-        self._late = np.clip(self._lateness[0], 0.0, 1.0)
 
     def _follow_earliness(self, losses: Losses) -> None:
         """Take over the earliness; keep a significant one unless these losses refute it.
