@@ -183,8 +183,8 @@ def _flight_rows(cells: Group) -> Iterator[Sequence[str]]:
         yield structure, method, _fits(fits), spread, known, worst
 
 
-def _clipped(cells: Group, field: str = "model") -> float:
-    return float(np.maximum([cell[field] for cell in cells], CLIP).mean()) if cells else np.nan
+def _clipped(cells: Group) -> float:
+    return float(np.maximum([cell["model"] for cell in cells], CLIP).mean()) if cells else np.nan
 
 
 def _family_rows(cells: Group, families: Mapping[str, Any]) -> Iterator[Sequence[str]]:

@@ -16,6 +16,10 @@ import uav_ident_ros  # noqa: F401  (before NumPy: it limits its threads)
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = ROOT / "build"
 
+MULTISINE = ROOT / "bags" / "multisine"
+RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC = "/imu/data", "/actuators", "/airspeed"
+"""Topics of the bags."""
+
 HELP = {
     "seeds": "seeds of each flight",
     "seed": "seed of everything",

@@ -295,7 +295,7 @@ def _change_of(job: Job) -> Result:
     allowed = np.maximum(2.0 * track.sigma[begin][where], 0.1 * np.abs(old[where]))
     moved = (np.abs(track.coefficients[begin:, *where] - old[where]) / allowed).max(axis=0)
     own = {name for change in flight.changes for name in change.factors}
-    derivatives = zip(track.structure.names, track.structure.free, strict=True)
+    derivatives = track.structure.places.items()
     own = own or {name for name, (_, column) in derivatives if column == j}
     return what | {
         "noticed": min(found, default=np.inf),

@@ -11,7 +11,7 @@ from typing import Any
 
 import flights
 import numpy as np
-from bench import ROOT
+from bench import ACTUATORS_TOPIC, AIRSPEED_TOPIC, RATES_TOPIC, ROOT
 from numpy.typing import NDArray
 
 from uav_ident_ros.bags.reading import Bag
@@ -34,9 +34,9 @@ from uav_ident_ros.identification.sampling import Block, InputMap, Sampler
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, BoolArray, FloatArray, Structure
 from uav_ident_ros.messages.feed import IMU_TYPE
-from uav_ident_ros.messages.types import RATES
+from uav_ident_ros.messages.types import RATE_ADAPTERS
 from uav_ident_ros.simulation.flight import Flight
-from uav_ident_ros.simulation.noise import Measurements, Message, Samples, fed
+from uav_ident_ros.simulation.noise import Measurements, Samples, SentSample, fed
 from uav_ident_ros.simulation.recording import parameters
 
 TimeArray = NDArray[np.int64]
@@ -45,7 +45,7 @@ RECORDED = ROOT.parent / "shared" / "bags"
 """Folder of recorded real flights; cases of a missing one are omitted."""
 
 AIRSPEED_TYPE = "std_msgs/msg/Float64"
-TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC) = ("/imu/data", "/actuators", "/airspeed")
+TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC, AIRSPEED_TOPIC)
 """Topics of the recorded flights."""
 
 RECORDED_DELAY = {
@@ -94,7 +94,7 @@ class Case:
         self,
         identifier: OnlineIdentifier,  # The receiver; the airspeed only if its type is set
         given: Iterable[FloatArray] = (),  # Published excitation, one for each actuator sample
-    ) -> Iterator[Message]:
+    ) -> Iterator[SentSample]:
         """Yield the messages in the order of arrival."""
         excitation = iter(given)
         for message in self.samples.messages():
@@ -140,7 +140,7 @@ def is_recorded(name: str) -> bool:
 @lru_cache(maxsize=2)
 def recorded(name: str) -> Case:
     """Return a recorded real flight."""
-    read = RATES[IMU_TYPE].read
+    read = RATE_ADAPTERS[IMU_TYPE].read
     received: dict[str, list[Any]] = {topic: [] for topic in TOPICS}
     log_ns: dict[str, list[int]] = {topic: [] for topic in TOPICS}
     with Bag(RECORDED / name) as bag:
@@ -295,7 +295,7 @@ def truth_in(structure: Structure, flight: Flight, time: float = 0.0) -> FloatAr
     own = STRUCTURES[flight.structure]
     true = flight.coefficients_at(time)
     out = np.zeros(structure.mask.shape)
-    for name, (i, j) in zip(own.names, own.free, strict=True):
+    for name, (i, j) in own.places.items():
         if name in structure.names:
             out[structure.index(name)] = true[i, j]
     return out

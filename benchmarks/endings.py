@@ -22,6 +22,7 @@ from typing import Any
 
 import bench
 import numpy as np
+from bench import ACTUATORS_TOPIC, MULTISINE, RATES_TOPIC
 from std_srvs.srv import Trigger
 
 from uav_ident_ros.bags.reading import Bag
@@ -35,8 +36,7 @@ sys.path.insert(0, str(bench.ROOT / "test"))
 
 from programs import handled
 
-BAG = bench.ROOT / "bags" / "multisine"
-TOPICS = ("/imu/data", "/actuators")
+TOPICS = (RATES_TOPIC, ACTUATORS_TOPIC)
 
 LONGEST_LIFE = 1.5, 4.0
 """Longest time from the first state file to the kill; and from the start of signal handling, or of
@@ -59,7 +59,7 @@ class Feeder:
     """Player of a flight that requests saves and collects the node's outputs."""
 
     def __init__(self) -> None:
-        with Bag(BAG) as bag:
+        with Bag(MULTISINE) as bag:
             classes = {topic: import_type(bag.type_of(topic)) for topic in TOPICS}
             messages = list(bag.messages(TOPICS))
         self.player = Player(classes, clock=False)
@@ -103,7 +103,7 @@ def running(state_file: Path, log: Path) -> Iterator[NodeProcess]:
     """Run the node in a process of its own, and kill it at the end."""
     log.unlink(missing_ok=True)
     values = {"state_file": state_file, "save_period": 1.0}
-    node = NodeProcess("uav_ident_ros.node", log, values, file=BAG / "identifier.yaml")
+    node = NodeProcess("uav_ident_ros.node", log, values, file=MULTISINE / "identifier.yaml")
     try:
         yield node
     finally:

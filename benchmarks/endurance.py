@@ -16,7 +16,7 @@ import numpy as np
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.noise import Message, Samples
+from uav_ident_ros.simulation.noise import Samples, SentSample
 
 FLIGHT = "exact_quiet_gusts_03"
 
@@ -25,7 +25,7 @@ MARGIN = 1.0
 """Flight time beyond the last hour, s: a tick is due with the samples after it."""
 
 
-def messages(flown: Samples, duration: float) -> Iterator[Message]:
+def messages(flown: Samples, duration: float) -> Iterator[SentSample]:
     """Yield the messages of the repeated flight, for `duration` s."""
     flight, t_ns = list(flown.messages()), flown.imu_t_ns
     start = int(t_ns[0])

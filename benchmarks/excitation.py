@@ -55,7 +55,7 @@ and from two seconds after it, in which tracking is measured; s."""
 LEFT = 0.7
 """Remaining share of the motor's thrust; derivatives keep three quarters plus a quarter of it."""
 
-DOMINANT = (
+MEASURED = (
     "pdot/p", "pdot/da", "pdot/beta", "qdot/q", "qdot/de", "qdot/alpha", "rdot/dr", "rdot/beta",
 )  # fmt: skip
 
@@ -140,9 +140,9 @@ def fly(job: tuple[str, int, bool]) -> Found:
     seen = np.array(rows)
     limits = flight.settings.excitation
     truth = cruise_derivatives(AIRCRAFT, flight.settings.airspeed.reference)
-    true = np.array([truth[name] for name in DOMINANT])
+    true = np.array([truth[name] for name in MEASURED])
     learned = flight.identifier.coefficient_set()
-    places = cases.places(flight.identifier.structure, DOMINANT)
+    places = cases.places(flight.identifier.structure, MEASURED)
     error = learned.values[places] - true
     return {
         "severity": severity, "seed": seed, "excited": excited, "why": flight.run.why,

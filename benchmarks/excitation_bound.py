@@ -46,7 +46,7 @@ PEAKS = dict.fromkeys(("de", "dr", "da"), 0.08)
 BAND = (0.2, 2.0)
 """Default of ``excitation.band``, Hz."""
 
-DOMINANT = (*cases.DOMINANT, "pdot/beta", "qdot/alpha", "rdot/beta")
+BOUNDED = (*cases.DOMINANT, "pdot/beta", "qdot/alpha", "rdot/beta")
 """The six derivatives that must be near the truth, and three that are only reported."""
 
 SIX = len(cases.DOMINANT)
@@ -93,7 +93,7 @@ def covariances(flight: Flight, gust: float) -> FloatArray:
     decay = np.diag(motion)[-3:] ** 2
     sensors = verdict_flights.SENSORS
     noise = np.diag([sensors.gyro_noise**2] * 3 + [sensors.accelerometer_noise**2] * 2)
-    chosen = [STATES + STRUCTURE.names.index(name) for name in DOMINANT]
+    chosen = [STATES + STRUCTURE.names.index(name) for name in BOUNDED]
     step, h = np.eye(size), np.hstack((sensed, shows))
     step[:STATES, :STATES] = motion
     out = []
@@ -131,7 +131,7 @@ def linearised(gust: float) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def for_good(near: FloatArray) -> dict[str, float]:
     """Return the median time until derivatives (..., K, D) stay near, s; inf if never."""
-    chosen = {name: near[..., k] for k, name in enumerate(DOMINANT)}
+    chosen = {name: near[..., k] for k, name in enumerate(BOUNDED)}
     chosen["all"] = near[..., :SIX].all(axis=-1)
     out = {}
     for name, each in chosen.items():
@@ -160,8 +160,8 @@ def judge(job: tuple[str, int, bool]) -> Found:
     )  # fmt: skip
     flight = m.flight
     track = cases.identify(cases.measured(m), {}, given=flight.injected if excited else ())
-    truth = np.array([TRUTH[name] for name in DOMINANT])
-    rows, columns = cases.places(STRUCTURE, DOMINANT)
+    truth = np.array([TRUTH[name] for name in BOUNDED])
+    rows, columns = cases.places(STRUCTURE, BOUNDED)
     values, sigmas = track.coefficients[:, rows, columns], track.sigma[:, rows, columns]
     usable = np.array([e.usable_rows for e in track.estimates])
     errors, allowed = np.abs(values - truth), NEAR * np.abs(truth)
@@ -187,8 +187,8 @@ def judge(job: tuple[str, int, bool]) -> Found:
 
 def lines(found: Sequence[Found]) -> Iterator[str]:
     """Yield the tables."""
-    names = (*DOMINANT, "all")
-    yield "| gusts, flights | | " + " | ".join((*DOMINANT, "all six")) + " |"
+    names = (*BOUNDED, "all")
+    yield "| gusts, flights | | " + " | ".join((*BOUNDED, "all six")) + " |"
     yield "|---" * (len(names) + 2) + "|"
     excited = [f for f in found if f["excited"]]
     for (gusts,), some in bench.grouped(excited, "gusts").items():

@@ -48,7 +48,7 @@ from uav_ident_ros.control import IncrementalLaw, InversionLaw
 from uav_ident_ros.control.choice import control_derivatives
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, RATE_COLUMNS, FloatArray
-from uav_ident_ros.simulation.aircraft import Aircraft, linearise, settle
+from uav_ident_ros.simulation.aircraft import Aircraft, differentiate, settle
 from uav_ident_ros.simulation.airframe import airframe_names
 from uav_ident_ros.simulation.faults import SURFACE_NAMES
 from uav_ident_ros.simulation.flight import EPOCH_NS
@@ -368,7 +368,7 @@ def jam_limits(names: Sequence[str], jam: float) -> Iterator[str]:
     for name in names:
         aircraft = Aircraft(name, SIMULATION_RATE)
         settle(aircraft, SENSORS.rate)
-        found = linearise(aircraft)
+        found = differentiate(aircraft)
         a = np.array(
             [
                 [found.derivatives[f"{row}/{column}"] for column in ("beta", "r", "dr", "da")]

@@ -24,6 +24,7 @@ from typing import Any
 import bench
 import hostile
 import numpy as np
+from bench import ACTUATORS_TOPIC, AIRSPEED_TOPIC, MULTISINE, RATES_TOPIC
 from geometry_msgs.msg import TwistStamped
 from hostile import SECOND_NS, Hostile, stamped
 from rcl_interfaces.srv import (
@@ -45,19 +46,22 @@ from uav_ident_ros.messages.types import import_type
 from uav_ident_ros.node.parameters import PARAMETER_TYPES
 from uav_ident_ros.offline.run import OfflineRun, run_over
 from uav_ident_ros.offline.ticks import Ticks
-from uav_ident_ros.player import Outputs, Player, PlayerError
+from uav_ident_ros.player import NodeOutputs, Player, PlayerError
 from uav_ident_ros.process import NodeProcess, own_domain
 
-BAG = bench.ROOT / "bags" / "multisine"
-
-RATES, ACTUATORS, AIRSPEED, ARMED = "/imu/data", "/actuators", "/airspeed", "/armed"
+ARMED_TOPIC = "/armed"
 TYPES = {
-    RATES: "sensor_msgs/msg/Imu",
-    ACTUATORS: "sensor_msgs/msg/JointState",
-    AIRSPEED: "geometry_msgs/msg/TwistStamped",
-    ARMED: "std_msgs/msg/Bool",
+    RATES_TOPIC: "sensor_msgs/msg/Imu",
+    ACTUATORS_TOPIC: "sensor_msgs/msg/JointState",
+    AIRSPEED_TOPIC: "geometry_msgs/msg/TwistStamped",
+    ARMED_TOPIC: "std_msgs/msg/Bool",
 }
-STREAMS = {RATES: "rates", ACTUATORS: "actuators", AIRSPEED: "airspeed", ARMED: "armed"}
+STREAMS = {
+    RATES_TOPIC: "rates",
+    ACTUATORS_TOPIC: "actuators",
+    AIRSPEED_TOPIC: "airspeed",
+    ARMED_TOPIC: "armed",
+}
 
 LEARNING_TIME = 60.0
 """Length of the flight before and after the disturbances, s."""
@@ -93,7 +97,7 @@ LARGEST_RATE = 200.0
 """Bounds of the outputs: entries by the prefix of their names; rates, rad/s."""
 
 
-def out_of_bounds(outputs: Outputs) -> Iterator[str]:
+def out_of_bounds(outputs: NodeOutputs) -> Iterator[str]:
     """Yield the published values that are not finite or out of bounds."""
     for named in outputs.named:
         good = np.isfinite(named.effort).all()
@@ -136,7 +140,7 @@ class Campaign:
         self._sim_time = sim_time
         self._process = self._start(folder)
         # armed has no stamp and holds from its arrival; only /clock aligns it with the others.
-        self.topics = [topic for topic in TYPES if sim_time or topic != ARMED]
+        self.topics = [topic for topic in TYPES if sim_time or topic != ARMED_TOPIC]
         self._types = {topic: import_type(TYPES[topic]) for topic in self.topics}
         self.player = Player(self._types, clock=sim_time)
         self._node, self._learned = self.player.node, np.zeros(0)
@@ -150,8 +154,8 @@ class Campaign:
 
     def _start(self, folder: Path) -> NodeProcess:
         values = {
-            "airspeed.type": TYPES[AIRSPEED],
-            "armed.type": TYPES[ARMED] if self._sim_time else '""',
+            "airspeed.type": TYPES[AIRSPEED_TOPIC],
+            "armed.type": TYPES[ARMED_TOPIC] if self._sim_time else '""',
             "state_file": folder / "state.yaml",
             "save_period": 1.0,
             "actuators.lower_limit": LIMITS["lower"],
@@ -159,19 +163,21 @@ class Campaign:
             "use_sim_time": self._sim_time,
         }
         log = folder / "node.log"
-        return NodeProcess("uav_ident_ros.node", log, values, file=BAG / "identifier.yaml")
+        return NodeProcess("uav_ident_ros.node", log, values, file=MULTISINE / "identifier.yaml")
 
     def _load_flight(self) -> list[tuple[int, str, bytes]]:
         """Return good messages: those of the bag, an airspeed at 10 Hz, armed twice."""
-        with Bag(BAG) as bag:
-            found = [(m.log_ns, m.topic, m.data) for m in bag.messages((RATES, ACTUATORS))]
+        with Bag(MULTISINE) as bag:
+            found = [
+                (m.log_ns, m.topic, m.data) for m in bag.messages((RATES_TOPIC, ACTUATORS_TOPIC))
+            ]
             start, end = bag.start_ns, bag.start_ns + int(LEARNING_TIME * 1e9)
         twist = TwistStamped()
         twist.twist.linear.x = 20.0
         airspeed, armed = serialize_message(twist), serialize_message(Bool(data=True))
-        found += [(t, AIRSPEED, airspeed) for t in range(start, end, SECOND_NS // 10)]
+        found += [(t, AIRSPEED_TOPIC, airspeed) for t in range(start, end, SECOND_NS // 10)]
         if self._sim_time:
-            found += [(t, ARMED, armed) for t in range(start, end, SECOND_NS // 2)]
+            found += [(t, ARMED_TOPIC, armed) for t in range(start, end, SECOND_NS // 2)]
         return sorted((f for f in found if f[0] < end), key=lambda f: f[0])
 
     # -- messages and calls ----------------------------------------------------------------
@@ -240,8 +246,8 @@ class Campaign:
             if self.now_ns - clock_ns >= SECOND_NS // 100:
                 clock_ns = self.now_ns
                 self.player.clock.send(clock_ns)
-            self.send(topic, data if topic == ARMED else stamped(data, self.now_ns))
-            if between is not None and topic == RATES:
+            self.send(topic, data if topic == ARMED_TOPIC else stamped(data, self.now_ns))
+            if between is not None and topic == RATES_TOPIC:
                 between()
         for _ in range(10):
             self.now_ns += SECOND_NS // 100
@@ -252,7 +258,7 @@ class Campaign:
     @cached_property
     def _replayed(self) -> OfflineRun:
         """Return the replay of the flight, for the windows and inputs of the score."""
-        return run_over(BAG, load_parameters(BAG / "identifier.yaml", "identifier"))
+        return run_over(MULTISINE, load_parameters(MULTISINE / "identifier.yaml", "identifier"))
 
     def learned(self) -> PredictionFit:
         """Return the fit of the node's last coefficients on the end of the flight."""
@@ -268,7 +274,7 @@ class Campaign:
 
     def mixed_with_flight(self) -> None:
         """Send hostile messages between the good ones of a flight, on every topic."""
-        imu = sum(topic == RATES for _, topic, _ in self._flight)
+        imu = sum(topic == RATES_TOPIC for _, topic, _ in self._flight)
         share = self._count / imu
         due = 0.0
 
@@ -304,7 +310,7 @@ class Campaign:
                     data = good[topic]
                     if bad:
                         data = self._hostile[topic].message(self.now_ns)
-                    elif topic != ARMED:
+                    elif topic != ARMED_TOPIC:
                         data = stamped(data, self.now_ns)
                     self._publish(topic, data, bad)
                     ahead = start + number / FLOOD_RATE - time.monotonic()
@@ -376,7 +382,7 @@ class Campaign:
 
     def calm_down(self) -> None:
         """Restore all parameters and switch learning on, without a reset."""
-        own = load_parameters(BAG / "identifier.yaml", "identifier")
+        own = load_parameters(MULTISINE / "identifier.yaml", "identifier")
         # with the type, which an empty array does not define
         parameters = [
             Parameter(s.name, PARAMETER_TYPES[s.type], own.get(s.name, s.default))

@@ -66,11 +66,12 @@ GIVEN = {
     "rounding": {"ROUNDING"},
     "mathematics": {
         "DOUBLET_PEAK", "EULER_LIMIT", "EXTRA", "FAILED_PREDICTION", "FEWEST_BLOCKS",
-        "HYPOTHESES", "LARGEST_ANGLE", "LARGEST_DEFLECTION", "ORDER", "PASSED", "REVERSED",
+        "EFFECT_HYPOTHESES", "HYPOTHESES", "LARGEST_ANGLE", "LARGEST_DEFLECTION", "ORDER",
+        "PASSED", "REVERSED",
     },
     "rigid bodies": {"PRODUCT_SIGMA"},
     "the definition of a wrong derivative, off by half": {"OTHER_EFFECTS"},
-    "shapes by their names": {"AXES", "PULSES", "SHAPES"},
+    "shapes by their names": {"PULSES", "SENSOR_AXES", "SHAPES"},
     "a unique solution, whatever their size": {"REST"},
     "memory, not results": {"BLOCK"},
     "the definition of the score": {

@@ -26,7 +26,7 @@ from sensor_msgs.msg import Imu, JointState
 
 from uav_ident_ros.bags.writing import jazzy_types
 from uav_ident_ros.guest import Guest
-from uav_ident_ros.identification.samples import ACTUATORS, RATES
+from uav_ident_ros.identification.samples import ACTUATORS, RATES_STREAM
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess, own_domain
@@ -55,7 +55,7 @@ def serialized(imu_rate: float, seconds: float) -> Iterator[tuple[int, str, byte
     """Yield the unstamped messages of the flight in order, with the time since its start, ns."""
     flight = flights.load(FLIGHT, rate=imu_rate)
     start = int(flight.imu_t_ns[0])
-    flown, every = list(flight.messages()), {RATES: 1, ACTUATORS: ACTUATOR_EVERY}
+    flown, every = list(flight.messages()), {RATES_STREAM: 1, ACTUATORS: ACTUATOR_EVERY}
     found = []
     for stream, step in every.items():
         for sample in [one for one in flown if one.stream == stream][::step]:
@@ -71,7 +71,7 @@ def publish(imu_rate: float, seconds: float, ready: object, sent: Queue[dict[str
     messages = list(serialized(imu_rate, seconds))
     guest = Guest("flight")
     publishers = {
-        RATES: guest.node.create_publisher(Imu, "imu/data", 1000),
+        RATES_STREAM: guest.node.create_publisher(Imu, "imu/data", 1000),
         ACTUATORS: guest.node.create_publisher(JointState, "actuators", 1000),
     }
     while not all(p.get_subscription_count() for p in publishers.values()):
@@ -145,7 +145,7 @@ def measure(imu_rate: float, seconds: float) -> tuple[str, ...]:
     return (
         f"{imu_rate:g}",
         f"{100.0 * cpu:.1f}",
-        f"{lost[RATES]} / {counts[RATES]}",
+        f"{lost[RATES_STREAM]} / {counts[RATES_STREAM]}",
         f"{lost[ACTUATORS]}",
         " / ".join(update),
         " / ".join(published),

@@ -19,7 +19,7 @@ import uav_ident_ros
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.files.parameter_file import load_parameters
 from uav_ident_ros.identification.identifier import STRETCH_TIME, OnlineIdentifier
-from uav_ident_ros.identification.samples import RATES
+from uav_ident_ros.identification.samples import RATES_STREAM
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS
@@ -73,7 +73,7 @@ def walk_of_a_sample() -> Walk:
         }
         for message in bag.messages(feeds):
             feed, flown = feeds[message.topic], (message.log_ns - bag.start_ns) * 1e-9 - LEARNING
-            if flown <= 0.0 or feed.stream.name != RATES:
+            if flown <= 0.0 or feed.stream.name != RATES_STREAM:
                 follow(identifier, feed, message)
             elif flown <= STRETCH_TIME:
                 walked(partial(follow, identifier, feed, message), walk)

@@ -18,7 +18,7 @@ import cases
 import numpy as np
 from bench import ROOT
 
-from uav_ident_ros.identification.samples import AIRSPEED, RATES
+from uav_ident_ros.identification.samples import AIRSPEED, RATES_STREAM
 
 BESIDE = "f99fd36"
 """The last commit before `flight_dynamics`."""
@@ -53,7 +53,7 @@ print(json.dumps([1e3 * np.mean(times), *(1e3 * np.percentile(times, [50, 99]))]
 def messages(case: cases.Case, path: Path) -> None:
     """Write the messages of a flight to a file, in the order of arrival."""
     listed = [
-        (stream == RATES, t, np.resize(v, 6))
+        (stream == RATES_STREAM, t, np.resize(v, 6))
         for _, stream, t, v in case.samples.messages()
         if stream != AIRSPEED
     ]

@@ -13,7 +13,7 @@ import sys
 from typing import Any
 
 from uav_ident_ros.commandline import replay
-from uav_ident_ros.messages.types import RATES, RatesAdapter, RatesReading, header_ns
+from uav_ident_ros.messages.types import RATE_ADAPTERS, RatesAdapter, RatesReading, header_ns
 from uav_ident_ros.node.__main__ import main as identifier
 
 
@@ -28,9 +28,9 @@ def read_twist(message: Any) -> RatesReading:
     )
 
 
-RATES["geometry_msgs/msg/TwistStamped"] = RatesAdapter(read_twist)
+RATE_ADAPTERS["geometry_msgs/msg/TwistStamped"] = RatesAdapter(read_twist)
 """From here on it is a choice of the setting ``imu.type``. The tables `ACTUATORS`, `AIRSPEEDS` and
-`ARMINGS` beside `RATES` are those of the other inputs."""
+`ARMINGS` beside `RATE_ADAPTERS` are those of the other inputs."""
 
 
 def main(program: str, arguments: list[str]) -> int:

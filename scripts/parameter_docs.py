@@ -14,7 +14,7 @@ from pathlib import Path
 
 from uav_ident_ros.files.parameter_file import written
 from uav_ident_ros.identification.settings import Setting, Value, declarations
-from uav_ident_ros.messages.types import ACTUATORS, RATES
+from uav_ident_ros.messages.types import ACTUATOR_ADAPTERS, RATE_ADAPTERS
 
 CONFIG = Path(__file__).resolve().parents[1] / "config" / "identifier.yaml"
 
@@ -106,7 +106,7 @@ def changeable() -> str:
 
 def rates_types() -> str:
     """Return the table of the message types of the rates."""
-    rows = [(f"`{name}`", "frd" if own.frd else "as set") for name, own in RATES.items()]
+    rows = [(f"`{name}`", "frd" if own.frd else "as set") for name, own in RATE_ADAPTERS.items()]
     return markdown(("`imu.type`", "`imu.convention`"), rows)
 
 
@@ -120,7 +120,7 @@ def actuator_types() -> str:
             "its own" if adapter.stamp else "arrival (bag: log time)",
             adapter.unit,
         )
-        for name, adapter in ACTUATORS.items()
+        for name, adapter in ACTUATOR_ADAPTERS.items()
     ]
     header = ("`actuators.type`", "`actuators.field`, default first", "channels by")
     return markdown((*header, "time", "unit"), rows)

@@ -33,7 +33,7 @@ from uav_ident_ros.offline.advice import (
     SLOW_IMU,
     advise,
 )
-from uav_ident_ros.offline.evidence import Evidence, gyro_noise, lost_to, measure
+from uav_ident_ros.offline.evidence import Evidence, gather, gyro_noise, lost_to
 from uav_ident_ros.offline.run import Refusals, run_over
 
 AUGMENTED = STRUCTURES["augmented"]
@@ -351,7 +351,7 @@ def evidence_of(bag: Path, name: str, changes: dict[str, Any], seconds: float) -
     """Return the evidence of the start of an example bag with changed parameters."""
     values = parameters(name, update_rate=10.0) | changes
     run = run_over(excerpt(bag, seconds, name), values)
-    return measure(run, run.score())
+    return gather(run, run.score())
 
 
 def test_evidence_of_a_simulated_flight_has_its_true_rates_noise_and_delay(tmp_path: Path) -> None:
@@ -380,7 +380,7 @@ def test_evidence_covers_both_parts_of_a_flight_with_a_gap(tmp_path: Path) -> No
         return [(topic, log_ns, message)]
 
     run = run_over(excerpt(tmp_path / "bag", 16.0, "multisine", later), parameters())
-    e = measure(run, run.score())
+    e = gather(run, run.score())
     assert e.duration == pytest.approx(16.0, abs=0.1)
     assert e.input_spread[INPUTS.index("dr")] > 0.02
     np.testing.assert_allclose(e.gyro_noise, 0.02, rtol=0.1)

@@ -18,7 +18,7 @@ from good_logs import ulog
 from repository import ROOT
 from test_docs import DOCS, README, code_blocks, page_id, text_of
 
-from uav_ident_ros.offline import NOT_USABLE
+from uav_ident_ros.commandline import NOT_USABLE
 
 SECONDS = 12.0
 """Length of the flights, s: the models may be unusable."""

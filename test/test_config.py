@@ -11,7 +11,7 @@ from uav_ident_ros.identification.gates import at_limit
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.sampling import InputMap
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.messages.types import ACTUATORS, ActuatorReader, frame_fault
+from uav_ident_ros.messages.types import ACTUATOR_ADAPTERS, ActuatorReader, frame_fault
 from uav_ident_ros.simulation.channels import QUADROTOR
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
@@ -34,7 +34,7 @@ def test_every_configuration_loads_and_is_valid_for_the_identifier(path: Path) -
 def test_types_fields_and_axes_of_a_configuration_are_consistent(path: Path) -> None:
     own = settings(path.stem)
     ActuatorReader(own.actuators)  # field and named channels are checked against the type
-    assert ACTUATORS[own.actuators.type]
+    assert ACTUATOR_ADAPTERS[own.actuators.type]
     assert frame_fault(own.imu.convention, "base_link", own.imu.type) == ""
     text = path.read_text(encoding="utf-8")
     assert "nable" in text.split("/**:")[0], "what to enable on the autopilot"
@@ -43,7 +43,7 @@ def test_types_fields_and_axes_of_a_configuration_are_consistent(path: Path) -> 
 
 
 def is_normalised(name: str) -> bool:
-    return "normalised" in ACTUATORS[settings(name).actuators.type].unit
+    return "normalised" in ACTUATOR_ADAPTERS[settings(name).actuators.type].unit
 
 
 def test_only_normalised_commands_have_configured_limits() -> None:

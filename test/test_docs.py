@@ -308,11 +308,11 @@ def test_the_algorithm_page_has_the_constants_of_the_code() -> None:
         f"an input is beyond {plausibility.COUNTS:.0f} rad",
         f"below {lightest:g} or above {heaviest:g} g",
         f"for {plausibility.ENOUGH:g} s an input is never within {plausibility.LARGEST_TRIM:g} rad",
-        f"one g over any {plausibility.WINDOW:g} s",
+        f"one g over any {plausibility.FORCE_WINDOW:g} s",
         f"larger of {gates.NOISE_SWING:.1f} times the gyro's own noise and "
         f"{scales.REST_SWAY:g} rad/s: noise exceeds {scales.DOUBTLESS:.1f} sigma",
         f"median of the first {sampling.RATE_SAMPLES} intervals",
-        f"limited to 1/{speed.LARGEST_RATIO:g} ... {speed.LARGEST_RATIO:g}",
+        f"limited to 1/{speed.LARGEST_SPEED_RATIO:g} ... {speed.LARGEST_SPEED_RATIO:g}",
         f"k = {flow.ATTITUDE_GAIN:g} 1/s",
         f"At {100 * flow.GRAVITY_BAND:g} % it does not count at all",
         f"largest variance over {gates.EXCITATION_TIME:g} s of its inputs",

@@ -30,7 +30,7 @@ from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.flow import FlowState
 from uav_ident_ros.identification.prior import first_values
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.messages.types import RATES
+from uav_ident_ros.messages.types import RATE_ADAPTERS
 
 FOLDER = Path(__file__).parents[1] / "examples"
 REFERENCE = np.array([0.2, 0.05, 0.03])
@@ -56,7 +56,7 @@ def ros(tmp_path: Path) -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def tables() -> Iterator[None]:
     """Take back what the examples enter."""
-    tables: tuple[dict[str, Any], ...] = (STRUCTURES, RATES)
+    tables: tuple[dict[str, Any], ...] = (STRUCTURES, RATE_ADAPTERS)
     before = [dict(table) for table in tables]
     yield
     for table, entries in zip(tables, before, strict=True):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from uav_ident_ros.bags import writing
-from uav_ident_ros.bags.writing import NOT_MEASURED, UNKNOWN, jazzy_types
+from uav_ident_ros.bags.writing import NOT_KNOWN, NOT_MEASURED, jazzy_types
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ARMED
 from uav_ident_ros.identification.settings import Settings, SettingsError
@@ -35,7 +35,7 @@ def vector(x: float, y: float, z: float) -> SimpleNamespace:
 
 
 def imu(frame_id: str = "base_link", *, rates: bool = True, force: bool = True) -> Any:
-    covariances = tuple(UNKNOWN if known else NOT_MEASURED for known in (rates, force))
+    covariances = tuple(NOT_KNOWN if known else NOT_MEASURED for known in (rates, force))
     turn = np.random.default_rng(len(frame_id)).normal(size=4).tolist()
     return writing.imu(STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), frame_id, turn, covariances)
 
@@ -100,11 +100,11 @@ def reader(**actuators: Any) -> types.ActuatorReader:
 
 
 def test_every_declared_type_is_read() -> None:
-    assert types.RATES.keys() == RATES_MESSAGES.keys()
-    assert types.ACTUATORS.keys() == ACTUATOR_MESSAGES.keys()
+    assert types.RATE_ADAPTERS.keys() == RATES_MESSAGES.keys()
+    assert types.ACTUATOR_ADAPTERS.keys() == ACTUATOR_MESSAGES.keys()
     assert {name for name, _, _ in OPTIONAL} == {*types.AIRSPEEDS, *types.ARMINGS}
     for name, (message, expected) in RATES_MESSAGES.items():
-        assert types.RATES[name].read(message) == expected, name
+        assert types.RATE_ADAPTERS[name].read(message) == expected, name
     for name, message, (stamp_ns, value) in OPTIONAL:
         assert {**types.AIRSPEEDS, **types.ARMINGS}[name](message) == (
             stamp_ns,
@@ -115,8 +115,8 @@ def test_every_declared_type_is_read() -> None:
 
 
 TYPE_SETTINGS = {
-    "imu.type": types.RATES,
-    "actuators.type": types.ACTUATORS,
+    "imu.type": types.RATE_ADAPTERS,
+    "actuators.type": types.ACTUATOR_ADAPTERS,
     "airspeed.type": types.AIRSPEEDS,
     "armed.type": types.ARMINGS,
 }
@@ -150,7 +150,7 @@ def test_a_type_of_the_author_is_a_choice_of_settings_and_streams(
         return RatesReading(STAMP_NS, message, None, "")
 
     stream = next(stream for stream in STREAMS if stream.setting == "imu.type")
-    monkeypatch.setitem(types.RATES, OWN, types.RatesAdapter(read, frd=True))
+    monkeypatch.setitem(types.RATE_ADAPTERS, OWN, types.RatesAdapter(read, frd=True))
     settings = Settings.from_values({"imu.type": OWN, "imu.convention": "frd"})
     assert stream.type_of(settings) == OWN and OWN in stream.types
     assert stream.reader(settings)((1.0, 2.0, 3.0)) == (STAMP_NS, ((1.0, 2.0, 3.0), None))
@@ -165,17 +165,17 @@ def test_a_type_of_the_author_is_a_choice_of_settings_and_streams(
 
 def test_px4_rates_have_the_sample_time_and_the_valid_force() -> None:
     message = M(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])  # without a sample time
-    read = types.RATES["px4_msgs/msg/VehicleAngularVelocity"].read
+    read = types.RATE_ADAPTERS["px4_msgs/msg/VehicleAngularVelocity"].read
     assert read(message) == SAMPLED._replace(stamp_ns=12_000)
     message, expected = RATES_MESSAGES["px4_msgs/msg/SensorCombined"]
     invalid = M(**vars(message))
     invalid.accelerometer_timestamp_relative = types.PX4_RELATIVE_TIMESTAMP_INVALID
-    read = types.RATES["px4_msgs/msg/SensorCombined"].read
+    read = types.RATE_ADAPTERS["px4_msgs/msg/SensorCombined"].read
     assert read(invalid) == expected._replace(specific_force=None)
 
 
 def test_imu_is_read_without_absent_rates_or_force() -> None:
-    read = types.RATES["sensor_msgs/msg/Imu"].read
+    read = types.RATE_ADAPTERS["sensor_msgs/msg/Imu"].read
     assert read(imu(rates=False)).rates is None
     assert read(imu(force=False)).specific_force is None
 
@@ -247,7 +247,7 @@ def test_cdr_reader_agrees_with_the_decoder() -> None:
     for length, little_endian in itertools.product(range(18), (True, False)):
         message = imu("x" * length)
         data = serialized(message, little_endian=little_endian)
-        expected = types.RATES["sensor_msgs/msg/Imu"].read(message)
+        expected = types.RATE_ADAPTERS["sensor_msgs/msg/Imu"].read(message)
         assert decode_imu_cdr(data) == decode_imu_cdr(memoryview(data)) == expected
         for cut in (0, 1, 4, 12, 16, 40, len(data) - 1):
             assert decode_imu_cdr(data[:cut]) is None

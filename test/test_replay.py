@@ -33,6 +33,7 @@ from rosbags.highlevel import AnyReader
 from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.client import Coefficients
+from uav_ident_ros.commandline import NOT_USABLE
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -40,7 +41,7 @@ from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES
 from uav_ident_ros.messages.published import entry_names
 from uav_ident_ros.messages.types import header_ns
-from uav_ident_ros.offline import NOT_USABLE, main
+from uav_ident_ros.offline import main
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.job import Job, reserved
 from uav_ident_ros.offline.parallel import work

@@ -21,7 +21,8 @@ from programs import PATIENCE, Capture, Terminal, python, wait_for
 from repository import ROOT
 
 from uav_ident_ros.bags.reading import BagError
-from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE, job, main
+from uav_ident_ros.commandline import NOT_USABLE, USABLE
+from uav_ident_ros.offline import NO_RESULT, job, main
 from uav_ident_ros.offline.command import WORST_FIT, mean_fit, overview, percent, ranked, ranking
 from uav_ident_ros.offline.find import find_bags, names_of
 from uav_ident_ros.offline.fleet import read_flights

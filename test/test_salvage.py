@@ -14,7 +14,8 @@ from programs import Capture
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.salvage import SalvageReader
 from uav_ident_ros.bags.writing import BagWriter, plain, qos
-from uav_ident_ros.offline import NO_RESULT, NOT_USABLE, USABLE
+from uav_ident_ros.commandline import NOT_USABLE, USABLE
+from uav_ident_ros.offline import NO_RESULT
 
 SECONDS, MESSAGES = 6, 6 * 250 + 2
 COMPRESSIONS = [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4]

@@ -12,6 +12,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
+USABLE, NOT_USABLE = 0, 1
+"""Exit statuses for the verdict on a model."""
+
 USAGE_ERROR = 2
 """Exit status for a wrong command line or bad input."""
 
@@ -21,6 +24,8 @@ INTERRUPTED = 130
 BROKEN_PIPE = 141
 """Exit status after the end of the reader of a pipe, as in shells."""
 
+LINE_LENGTH = 100
+"""Length of the longest line of a text, characters."""
 
 COMMANDS = {
     "demo": "demo",
@@ -36,7 +41,7 @@ _BOTH = (
     "apt does not have it: run scripts/setup, or in a virtual environment with "
     "--system-site-packages: pip install rosbags mcap"
 )
-CURES = {
+PACKAGE_CURES = {
     "mcap": _BOTH,
     "rich": "install python3-rich from apt, or the extra 'monitor' from pip",
     "rosbags": _BOTH,
@@ -85,7 +90,7 @@ def importing() -> Iterator[None]:
 def missing(error: ModuleNotFoundError) -> str:
     """Return the package that an import lacks, with the way to install it."""
     package = str(error.name).partition(".")[0]
-    cure = CURES.get(package, f"pip install {package}")
+    cure = PACKAGE_CURES.get(package, f"pip install {package}")
     return f"the Python package '{package}' is missing: {cure}"
 
 
@@ -97,18 +102,18 @@ class OneLineParser(argparse.ArgumentParser):
         self.exit(USAGE_ERROR, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
-Number = TypeVar("Number", int, float)
+Numeric = TypeVar("Numeric", int, float)
 
 
 def number(
-    kind: Callable[[str], Number],  # ``int`` or ``float``
-    least: Number,  # least, most: The range
-    most: Number,
+    kind: Callable[[str], Numeric],  # ``int`` or ``float``
+    least: Numeric,  # least, most: The range
+    most: Numeric,
     suffix: str,  # Text after a refused value in the error message
-) -> Callable[[str], Number]:
+) -> Callable[[str], Numeric]:
     """Return the type of an argument that is a number in a range."""
 
-    def read(text: str) -> Number:
+    def read(text: str) -> Numeric:
         with suppress(ValueError):
             if least <= (value := kind(text)) <= most:
                 return value

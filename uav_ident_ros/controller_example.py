@@ -35,18 +35,17 @@ from uav_ident_ros.client import (
     subscribe_excitation,
 )
 from uav_ident_ros.control import LAWS, Effect, Gains, RateController
+from uav_ident_ros.files.meanings import AXIS_WORDS
 from uav_ident_ros.identification.settings import Setting
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FLU_TO_FRD, NS_PER_S, header_ns, stamp_ns, xyz
 from uav_ident_ros.node.notices import without_numbers
 from uav_ident_ros.node.program import read_parameters, run, spin
 
-AXES = ("roll", "pitch", "yaw")
-
 REPORT_PERIOD = 1.0
 """Period of reports on /diagnostics, s; changes are reported immediately."""
 
-DISCOVERY_TIME, POLL_PERIOD = 30.0, 0.05
+LONGEST_DISCOVERY, CHECK_PERIOD = 30.0, 0.05
 """In lock-step with a simulation: longest wait for the discovery of identifier and reference, and
 period of the check, s of wall clock."""
 
@@ -112,7 +111,7 @@ class ControllerExample(Node):
 
     def _advertise_once_discovered(self, subscriptions: Sequence[Any]) -> None:
         """Advertise the commands once each has a publisher: the simulation then starts."""
-        end = time.monotonic() + DISCOVERY_TIME
+        end = time.monotonic() + LONGEST_DISCOVERY
 
         def check() -> None:
             missing = any(not topic.get_publisher_count() for topic in subscriptions)
@@ -121,7 +120,9 @@ class ControllerExample(Node):
                 self._commands = self.create_publisher(JointState, "command", 50)
 
         # a steady clock, because the node's may be the simulation's, which does not run yet
-        timer = self.create_timer(POLL_PERIOD, check, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        timer = self.create_timer(
+            CHECK_PERIOD, check, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
         check()
 
     def _make(self, nominal: Coefficients) -> RateController:
@@ -154,7 +155,7 @@ class ControllerExample(Node):
             controller = self._ready(t_ns)
             u = controller.update(t_ns, x, np.zeros(3) if reference is None else reference)
             u = controller.inject(t_ns, u, self._excitation.at(t_ns))
-            self._report(message.header, *summary(controller.effect), controller)
+            self._report(message.header, *effect_summary(controller.effect), controller)
         except Refusal as refusal:
             u = np.zeros(4)  # no coefficients: trim
             self._report(message.header, "flying on trim", str(refusal))
@@ -202,11 +203,13 @@ class ControllerExample(Node):
         self._diagnostics.publish(DiagnosticArray(header=header, status=[status]))
 
 
-def summary(effect: Effect) -> tuple[str, str]:
+def effect_summary(effect: Effect) -> tuple[str, str]:
     """Return the source of the coefficients in use, and why axes do not use identified ones."""
     groups: dict[str, list[str]] = {}
     reasons: dict[str, list[str]] = {}
-    for axis, source, reason in zip(AXES, effect.sources, effect.reasons, strict=True):
+    for axis, source, reason in zip(
+        AXIS_WORDS.values(), effect.sources, effect.reasons, strict=True
+    ):
         groups.setdefault(source, []).append(axis)
         if reason:
             reasons.setdefault(reason, []).append(axis)
@@ -216,14 +219,14 @@ def summary(effect: Effect) -> tuple[str, str]:
 
 
 def _of(axes: list[str]) -> str:
-    return "" if len(axes) == len(AXES) else f" ({', '.join(axes)})"
+    return "" if len(axes) == len(AXIS_WORDS) else f" ({', '.join(axes)})"
 
 
 def measured(controller: RateController) -> list[KeyValue]:
     """Return the measured effect and delay of the inputs, for /diagnostics."""
     found = controller.effectiveness
     values = {"delay flown on": f"{1e3 * controller.delay.delay:.0f} ms"}
-    for axis, factor, sigma in zip(AXES, found.factor, found.sigma, strict=True):
+    for axis, factor, sigma in zip(AXIS_WORDS.values(), found.factor, found.sigma, strict=True):
         values[f"measured effect of {axis}"] = f"{factor:.2f} +- {sigma:.2f} of nominal"
     return [KeyValue(key=key, value=value) for key, value in values.items()]
 

@@ -23,15 +23,16 @@ from uav_ident_ros.commandline import (
     number,
 )
 from uav_ident_ros.files.parameter_file import load_parameters
+from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.messages.streams import STREAMS
-from uav_ident_ros.messages.types import ACTUATORS, import_type
-from uav_ident_ros.monitor.cli import listen
+from uav_ident_ros.messages.types import ACTUATOR_ADAPTERS, import_type
+from uav_ident_ros.monitor.cli import discover
 from uav_ident_ros.monitor.picture import View
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.offline import NO_RESULT, NODE_NAME
 from uav_ident_ros.offline import main as replay
-from uav_ident_ros.offline.inputs import Inputs, choose_inputs
-from uav_ident_ros.offline.job import REFUSALS, parameters_beside, reserved
+from uav_ident_ros.offline.inputs import BagInputs, choose_inputs
+from uav_ident_ros.offline.job import REPLAY_REFUSALS, parameters_beside, reserved
 from uav_ident_ros.player import Player, PlayerError
 from uav_ident_ros.process import NodeProcess, own_domain
 from uav_ident_ros.share import shared
@@ -46,7 +47,7 @@ BLOCK_EVERY = 5.0
 """Seconds between two blocks of text without a terminal."""
 
 
-def running_node(inputs: Inputs, parameter_file: Path | None, log: Path) -> NodeProcess:
+def running_node(inputs: BagInputs, parameter_file: Path | None, log: Path) -> NodeProcess:
     """Start the node with the settings of a flight."""
     settings, streams = inputs.settings, inputs.streams
     return NodeProcess(
@@ -104,7 +105,7 @@ def run_demo(options: argparse.Namespace) -> int:
         inputs = choose_inputs(bag, load_parameters(file, NODE_NAME) if file else {})
         messages = list(bag.messages(inputs.topics))
         topics = {topic: import_type(bag.type_of(topic)) for topic in inputs.topics}
-    stamped = ACTUATORS[inputs.settings.actuators.type].stamp is not None
+    stamped = ACTUATOR_ADAPTERS[inputs.settings.actuators.type].stamp is not None
     speed = options.speed or (DEFAULT_SPEED if stamped else 1.0)
     name = options.bag.resolve().stem
     folder = options.output / f"demo_{name}"
@@ -112,7 +113,7 @@ def run_demo(options: argparse.Namespace) -> int:
         log = folder / "node.log"
         log.unlink(missing_ok=True)
         print(
-            f"{name}: {(messages[-1].log_ns - messages[0].log_ns) * 1e-9:.0f} s at {speed:g} times "
+            f"{name}: {(messages[-1].log_ns - messages[0].log_ns) * NS:.0f} s at {speed:g} times "
             f"real time, ROS domain {os.environ['ROS_DOMAIN_ID']}",
             flush=True,
         )
@@ -142,7 +143,7 @@ def play(
         if node.poll() is not None:
             return False
         player.wait_for_node()
-        watched = listen(player, NODE_NAME)
+        watched = discover(player, NODE_NAME)
         view = open_.enter_context(contextlib.closing(View()))
         period = view.period if sys.stdout.isatty() else BLOCK_EVERY
         shown = time.monotonic()
@@ -166,7 +167,7 @@ def main(arguments: list[str] | None = None) -> int:
         with own_domain(), tempfile.TemporaryDirectory() as logs:
             os.environ["ROS_LOG_DIR"] = logs
             return run_demo(options)
-    except REFUSALS as error:
+    except REPLAY_REFUSALS as error:
         print(f"demo: {error}", file=sys.stderr)
         return USAGE_ERROR
     except (PlayerError, OSError) as error:

@@ -19,8 +19,7 @@ from launch_ros.substitutions import FindPackageShare
 
 from uav_ident_ros.commandline import USAGE_ERROR
 from uav_ident_ros.messages.streams import STREAMS
-
-PACKAGE = "uav_ident_ros"
+from uav_ident_ros.share import PACKAGE
 
 
 class LaunchError(Exception):

@@ -34,7 +34,7 @@ ANSWER_WITHIN_NS = 200_000_000
 CALL_AGAIN_AFTER = 1.0
 """Time without an answer after which a service call is repeated, s."""
 
-PATIENCE = 60.0
+ANSWER_PATIENCE = 60.0
 """Longest wait for an answer, s, sufficient on a busy machine."""
 
 SETTLE = 0.3
@@ -52,7 +52,7 @@ class PlayerError(Exception):
 
 
 @dataclass
-class Outputs:
+class NodeOutputs:
     """Outputs of a node, in the order of arrival."""
 
     named: list[JointState] = field(default_factory=list)
@@ -82,7 +82,7 @@ class Player(Guest):
         ending: Ending | None = None,  # As in `Guest`
     ) -> None:
         super().__init__("player", ending)
-        self.outputs = Outputs()
+        self.outputs = NodeOutputs()
         self._publishers = {
             topic: self.node.create_publisher(kind, topic, DEPTH) for topic, kind in topics.items()
         }
@@ -99,7 +99,7 @@ class Player(Guest):
         self.outputs.status += [s for s in message.status if s.name == NODE_NAME]
 
     def wait_until(
-        self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE
+        self, condition: Callable[[], bool], what: str, timeout: float = ANSWER_PATIENCE
     ) -> None:
         """Spin until `condition` holds; a PlayerError on a timeout names `what` is missing."""
         if not self.spin_for(timeout, condition):
@@ -132,7 +132,7 @@ class Player(Guest):
         messages yet.
         """
         client = self.node.create_client(ListParameters, f"{NODE_NAME}/list_parameters")
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + ANSWER_PATIENCE
         while time.monotonic() < end:
             self.wait_until(client.service_is_ready, f"node '{NODE_NAME}'")
             answer = client.call_async(ListParameters.Request())
@@ -140,7 +140,7 @@ class Player(Guest):
                 self.node.destroy_client(client)
                 return
             client.remove_pending_request(answer)
-        raise PlayerError(f"waited {PATIENCE:g} s in vain for node '{NODE_NAME}' to answer")
+        raise PlayerError(f"waited {ANSWER_PATIENCE:g} s in vain for node '{NODE_NAME}' to answer")
 
     def send(self, topic: str, data: Any) -> None:
         """Publish one message, or its CDR bytes."""
@@ -186,10 +186,12 @@ class Player(Guest):
         self._executor.spin_once(timeout_sec=0.0)
         wanted_ns = t_ns - ANSWER_WITHIN_NS
         if wanted_ns >= awaited_ns and not self.clock.wait(
-            lambda: self.end_requested() or self.outputs.newest_ns >= wanted_ns, t_ns, PATIENCE
+            lambda: self.end_requested() or self.outputs.newest_ns >= wanted_ns,
+            t_ns,
+            ANSWER_PATIENCE,
         ):
             raise PlayerError(
-                f"waited {PATIENCE:g} s in vain for the output of "
+                f"waited {ANSWER_PATIENCE:g} s in vain for the output of "
                 f"{(wanted_ns - start_ns) / NS_PER_S:.2f} s into the recording"
             )
 

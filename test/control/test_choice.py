@@ -9,7 +9,7 @@ from plants import LIMITS, START, STRUCTURE, coefficients, controller, flown
 
 from uav_ident_ros.client import Coefficients, CoefficientSource, Fallback
 from uav_ident_ros.control import AxisChoice, Effectiveness
-from uav_ident_ros.control.effectiveness import SURE
+from uav_ident_ros.control.effectiveness import CERTAIN
 from uav_ident_ros.identification.structure import FloatArray
 
 LATER = START + 10**8
@@ -336,7 +336,7 @@ def test_the_sign_of_a_reversed_input_is_changed_on_all_axes() -> None:
     source = CoefficientSource(Fallback.LAST_GOOD, coefficients())
     chosen = AxisChoice(source, changed(coefficients(), "rdot/da", -2.0, 0.1), LIMITS)
     measured = Effectiveness()
-    measured._log_ratio[0, 0] = SURE
+    measured._log_ratio[0, 0] = CERTAIN
     assert chosen.update(LATER, measured).values[:, 2].tolist() == [-29.5, 0.0, 2.0]
     source.add(changed(coefficients(), "rdot/da", -2.0, 0.1))  # identified before the fault
     assert chosen.update(LATER, measured).values[:, 2].tolist() == [-29.5, 0.0, 2.0]
@@ -353,7 +353,7 @@ def test_a_dead_input_has_its_former_sign(reversals: int) -> None:
     chosen, measured = choice()[0], Effectiveness()
     before = chosen.update(START, measured).values[:, 2].tolist()
     for _ in range(reversals):
-        measured._log_ratio[0, 0] = SURE
+        measured._log_ratio[0, 0] = CERTAIN
         chosen.update(LATER, measured)
     measured.dead[0] = True
     for _ in range(2):

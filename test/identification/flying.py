@@ -23,7 +23,7 @@ from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.simulation.flight import Flight
 from uav_ident_ros.simulation.inputs import Segment
 from uav_ident_ros.simulation.live import Plan
-from uav_ident_ros.simulation.noise import Measurements, Message, Sensors, fed, measure
+from uav_ident_ros.simulation.noise import Measurements, Sensors, SentSample, fed, measure
 from uav_ident_ros.simulation.plant import SMALL_UAV, PlantFlight
 from uav_ident_ros.simulation.recording import parameters
 
@@ -124,24 +124,24 @@ def settings(measurements: Measurements, **changes: Any) -> Settings:
     return Settings.from_values(values)
 
 
-def messages(measurements: Measurements) -> list[Message]:
+def messages(measurements: Measurements) -> list[SentSample]:
     """All messages in the order of arrival."""
     return list(measurements.messages())
 
 
-def with_injected(measurements: Measurements, after: float = 0.0) -> list[Message]:
+def with_injected(measurements: Measurements, after: float = 0.0) -> list[SentSample]:
     """All messages, from `after`, s, on with those of the injected signals."""
     injected = measurements.flight.injected.tolist()
     first, stamps = int(measurements.imu_t_ns[0]), measurements.actuator_t_ns.tolist()
     added = [
-        Message(t, EXCITATION, t, tuple(values))
+        SentSample(t, EXCITATION, t, tuple(values))
         for t, values in zip(stamps, injected, strict=True)
         if (t - first) * 1e-9 >= after
     ]
     return sorted([*messages(measurements), *added], key=lambda message: message.arrival_ns)
 
 
-def run(identifier: OnlineIdentifier, stream: Iterable[Message]) -> list[Estimate]:
+def run(identifier: OnlineIdentifier, stream: Iterable[SentSample]) -> list[Estimate]:
     """Feed the messages; return the estimates of all ticks as they become due."""
     return list(fed(identifier, stream))
 
@@ -160,7 +160,7 @@ def fresh(**changes: Any) -> OnlineIdentifier:
 def identified(
     measurements: Measurements,
     initial: CoefficientSet | None = None,
-    stream: Iterable[Message] | None = None,  # Messages, if not those of the measurements
+    stream: Iterable[SentSample] | None = None,  # Messages, if not those of the measurements
     **changes: Any,
 ) -> tuple[OnlineIdentifier, list[Estimate]]:
     """Return the identifier after the flight, and its estimates."""
@@ -222,4 +222,4 @@ def worst_error(
 def linear_names(flight: Flight) -> list[str]:
     """Names of the coefficients of rates and inputs."""
     structure = STRUCTURES[flight.structure]
-    return [n for n, (_, j) in zip(structure.names, structure.free, strict=True) if j >= 5]
+    return [n for n, (_, j) in structure.places.items() if j >= 5]

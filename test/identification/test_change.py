@@ -12,12 +12,7 @@ from scipy.signal import lfilter
 from uav_ident_ros.identification.estimators.change import ChangeDetector, _whitened
 from uav_ident_ros.identification.regression import Regression
 from uav_ident_ros.identification.residuals import UNKNOWN_ANSWER
-from uav_ident_ros.identification.structure import (
-    CONSTANT_COLUMN,
-    ROWS,
-    STRUCTURES,
-    FloatArray,
-)
+from uav_ident_ros.identification.structure import CONSTANT_COLUMN, ROWS, STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import CoefficientChange
 
 STRUCTURE = STRUCTURES["augmented"]

@@ -178,7 +178,7 @@ def test_the_delay_survives_a_gap_and_a_new_time_base_but_not_a_reset() -> None:
     start = int(m.imu_t_ns[0])
     identifier = OnlineIdentifier(flying.settings(m, **UNKNOWN))
 
-    def broken(message: flying.Message) -> flying.Message:
+    def broken(message: flying.SentSample) -> flying.SentSample:
         after = message.t_ns - start
         return message._replace(t_ns=message.t_ns + (after > 32e9) * 3600 * 10**9)
 

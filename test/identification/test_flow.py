@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from equations import AIRCRAFT, flown, matrix
 from flying import (
-    Message,
+    SentSample,
     blocks,
     identified,
     light_errors,
@@ -28,7 +28,7 @@ from uav_ident_ros.identification.prior import first_values, slope_bounds
 from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.scales import GRAVITY_BAND
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.speed import LARGEST_RATIO
+from uav_ident_ros.identification.speed import LARGEST_SPEED_RATIO
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight
 from uav_ident_ros.simulation.inputs import ColouredNoise, Segment
@@ -241,8 +241,8 @@ def test_the_sigma_of_the_flow_angles_is_that_of_the_slopes() -> None:
     ("airspeed", "used"),
     [
         (None, SPEED),
-        (0.9 * SPEED / LARGEST_RATIO, SPEED),
-        (1.1 * SPEED / LARGEST_RATIO, 1.1 * SPEED / LARGEST_RATIO),
+        (0.9 * SPEED / LARGEST_SPEED_RATIO, SPEED),
+        (1.1 * SPEED / LARGEST_SPEED_RATIO, 1.1 * SPEED / LARGEST_SPEED_RATIO),
         (2.0 * SPEED, 2.0 * SPEED),
     ],
 )
@@ -258,7 +258,7 @@ def test_the_airspeed_is_the_measured_one_unless_it_is_below_flying_speed(
 # --- an aircraft without an accelerometer -------------------------------------------------------
 
 
-def without_accelerometer(stream: list[Message]) -> list[Message]:
+def without_accelerometer(stream: list[SentSample]) -> list[SentSample]:
     return [
         message._replace(values=(*message.values[:3], 0.0, 0.0, 0.0))
         if message.stream == "rates"

@@ -44,7 +44,7 @@ def halved() -> Measurements:
 
 
 def flown(
-    stream: list[flying.Message] | None = None, seconds: float = 37.0, **changes: Any
+    stream: list[flying.SentSample] | None = None, seconds: float = 37.0, **changes: Any
 ) -> tuple[OnlineIdentifier, list[Estimate]]:
     """Return the identifier and estimates of `seconds` of the flight, or of other messages."""
     stream = flying.messages(flying.excited()) if stream is None else stream
@@ -53,12 +53,12 @@ def flown(
     return flying.identified(flying.excited(), stream=part, **{"structure": STRUCTURE, **changes})
 
 
-def altered(alter: Callable[[float, FloatArray], FloatArray]) -> list[flying.Message]:
+def altered(alter: Callable[[float, FloatArray], FloatArray]) -> list[flying.SentSample]:
     """The flight's messages with rates changed by `alter`, a function of the time, s, and rates."""
     stream = flying.messages(flying.excited())
     start = stream[0].t_ns
 
-    def altered_message(m: flying.Message) -> flying.Message:
+    def altered_message(m: flying.SentSample) -> flying.SentSample:
         rates = alter((m.t_ns - start) * 1e-9, np.array(m.values[:3]))
         return m._replace(values=(*rates.tolist(), *m.values[3:]))
 
@@ -201,7 +201,7 @@ def test_a_channel_at_its_limit_pauses_learning() -> None:
     assert any(e.adapting for e in estimates)
 
 
-def thirds() -> tuple[list[flying.Message], ...]:
+def thirds() -> tuple[list[flying.SentSample], ...]:
     """Messages of the flight's first, second and third 5 s."""
     stream = flying.messages(flying.excited())
     t = (np.array([m.t_ns for m in stream]) - stream[0].t_ns) * 1e-9
@@ -223,7 +223,7 @@ def test_an_armed_topic_decides_if_it_is_configured() -> None:
     assert flying.run(unset, first)[-1].adapting
 
 
-def at_speed(stream: list[flying.Message], speed: float) -> list[flying.Message]:
+def at_speed(stream: list[flying.SentSample], speed: float) -> list[flying.SentSample]:
     """Return messages with an airspeed, m/s, before each of the inputs."""
     return [
         part

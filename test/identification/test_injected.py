@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flying import (
     PEAKS,
-    Message,
+    SentSample,
     identified,
     light_measured,
     run,
@@ -90,7 +90,7 @@ def test_excitation_is_none_before_its_first_message_and_zero_after_timeout() ->
 
 def identifier_over(stream: list[tuple[str, int, tuple[float, ...]]]) -> OnlineIdentifier:
     identifier = OnlineIdentifier(Settings())
-    run(identifier, [Message(0, *entry) for entry in stream])
+    run(identifier, [SentSample(0, *entry) for entry in stream])
     return identifier
 
 

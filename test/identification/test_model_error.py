@@ -9,12 +9,7 @@ import pytest
 from flying import identified
 from verdict_flights import fly
 
-from uav_ident_ros.identification.estimators.model_error import (
-    LOADING,
-    Losses,
-    ModelError,
-    _solved,
-)
+from uav_ident_ros.identification.estimators.model_error import LOADING, Losses, ModelError, _solved
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.structure import STRUCTURES
 

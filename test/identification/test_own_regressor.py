@@ -24,12 +24,7 @@ from uav_ident_ros.identification.prediction import (
 )
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.speed import SpeedScaling
-from uav_ident_ros.identification.structure import (
-    STRUCTURES,
-    FloatArray,
-    Regressor,
-    Structure,
-)
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Regressor, Structure
 from uav_ident_ros.identification.waveforms import multisines
 
 SOFT = Regressor("da|da|", lambda p, q, r, de, dr, da, dth: da * abs(da), 900.0)

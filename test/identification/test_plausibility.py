@@ -19,11 +19,7 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.frames import rotation
 from uav_ident_ros.identification.gyro import HYPOTHESES, GyroFilters, WrongAxes
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.plausibility import (
-    Plausibility,
-    SetupErrors,
-    sign_finding,
-)
+from uav_ident_ros.identification.plausibility import Plausibility, SetupErrors, sign_finding
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.inputs import Segment

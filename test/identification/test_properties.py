@@ -20,9 +20,9 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier, State
 from uav_ident_ros.identification.samples import LARGEST_GYRO_RATE, LATEST_STAMP
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings, SettingsError
-from uav_ident_ros.identification.speed import LARGEST_RATIO
+from uav_ident_ros.identification.speed import LARGEST_SPEED_RATIO
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
-from uav_ident_ros.simulation.noise import Message
+from uav_ident_ros.simulation.noise import SentSample
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -145,14 +145,14 @@ class SimulatedRun:
         match event:
             case Fly():
                 for k, sample in enumerate(event.samples(self.now_ns)):
-                    Message(0, *sample).give(self.identifier)
+                    SentSample(0, *sample).give(self.identifier)
                     if k % 16 == 0:
                         self.update()
                 self.now_ns += round(event.seconds * S)
                 self.update()
             case stream, t_ns, values, times:  # five that agree make a time base
                 for k in range(times):
-                    Message(0, stream, t_ns + k * MS, values).give(self.identifier)
+                    SentSample(0, stream, t_ns + k * MS, values).give(self.identifier)
                 self.update()
             case "clock jumps", ns:
                 self.now_ns = max(1, self.now_ns + ns)
@@ -201,7 +201,7 @@ def within(values: FloatArray, bound: float) -> bool:
 
 def check(estimate: Estimate, settings: Settings) -> None:
     """Assert that everything in an estimate is finite and within its bounds."""
-    scale = LARGEST_RATIO**2 if settings.airspeed.type else 1.0
+    scale = LARGEST_SPEED_RATIO**2 if settings.airspeed.type else 1.0
     assert within(estimate.coefficients, LARGEST_NUMBER * scale)
     assert np.isfinite(estimate.sigma).all()
     assert (estimate.sigma >= 0.0).all()
@@ -296,7 +296,7 @@ def estimates_of(
     simulated_run = SimulatedRun(OnlineIdentifier(settings))
     left = next(batches)
     for sample in samples:
-        Message(0, *sample).give(simulated_run.identifier)
+        SentSample(0, *sample).give(simulated_run.identifier)
         left -= 1
         if left <= 0:
             simulated_run.update()

@@ -79,7 +79,7 @@ def test_in_quiet_flight_coefficients_stay_and_the_verdict_expires_at_the_larges
 
 
 @cache
-def learned() -> tuple[OnlineIdentifier, list[flying.Message]]:
+def learned() -> tuple[OnlineIdentifier, list[flying.SentSample]]:
     """Return an identifier that is usable after 33 s, and the later messages."""
     flight = flying.measured(40.0)
     stream = flying.messages(flight)

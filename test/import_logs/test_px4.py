@@ -14,8 +14,8 @@ from pyulog.ulog2csv import convert_ulog2csv
 from ulog_writing import Columns, commands, padded, sensor_combined, stamps, write_ulog
 
 from uav_ident_ros.bags.reading import Bag
+from uav_ident_ros.commandline import NOT_USABLE
 from uav_ident_ros.identification.frames import quaternions, rotation
-from uav_ident_ros.offline import NOT_USABLE
 from uav_ident_ros.simulation.channels import ELEVON, QUADROTOR
 
 SAMPLE = Path(__file__).resolve().parents[3] / "shared" / "logs" / "px4_quad_sample.ulg"

@@ -35,7 +35,7 @@ from ulog_writing import commands, keyed, message, stamps, write_ulog
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.import_logs.cli import DAMAGED
-from uav_ident_ros.import_logs.dataflash import HEADER, read_dataflash
+from uav_ident_ros.import_logs.dataflash import SYNC, read_dataflash
 from uav_ident_ros.import_logs.flight_log import Findings
 from uav_ident_ros.import_logs.px4_log import MAGIC, read_ulog
 from uav_ident_ros.import_logs.stamps import NS_PER_S, plausible
@@ -127,7 +127,7 @@ def test_one_damaged_byte_costs_one_sample(
         header = (size - 3).to_bytes(2, "little") + b"D\0\0"
     else:
         size = struct.calcsize("<3xQBffffffIIfBBHH")
-        header = HEADER + whole[whole.index(b"IMU\0") - 2 :][:1]
+        header = SYNC + whole[whole.index(b"IMU\0") - 2 :][:1]
         value = whole[whole.index(b"RCOU") - 2] if part == "known type" else value
     whole[whole.index(header, len(whole) // 2) + at] = value
     found, _, printed = importer(written(path, whole), status=DAMAGED)

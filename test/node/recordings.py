@@ -13,9 +13,9 @@ from rclpy.parameter import Parameter
 
 from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import jazzy_types
+from uav_ident_ros.commandline import NOT_USABLE, USABLE
 from uav_ident_ros.messages.types import header_ns, import_type
-from uav_ident_ros.offline import NOT_USABLE, USABLE
-from uav_ident_ros.player import START_UP_NS, Outputs
+from uav_ident_ros.player import START_UP_NS, NodeOutputs
 from uav_ident_ros.player import Player as PlainPlayer
 from uav_ident_ros.process import NodeProcess
 
@@ -144,7 +144,7 @@ def wait_for_status(player: Player) -> None:
     player.wait_until(lambda: len(player.outputs.status) >= wanted, "two statuses")
 
 
-def published(outputs: Outputs) -> TickValues:
+def published(outputs: NodeOutputs) -> TickValues:
     """Return a node's outputs by tick."""
     return joined(outputs.named, outputs.predicted_rates, outputs.prediction_error)
 

@@ -32,8 +32,8 @@ from recordings import (
 from repository import ROOT
 from sensor_msgs.msg import Imu
 
+from uav_ident_ros.commandline import NOT_USABLE, USABLE
 from uav_ident_ros.guest import Guest
-from uav_ident_ros.offline import NOT_USABLE, USABLE
 from uav_ident_ros.process import own_domain
 from uav_ident_ros.simulation import closed_loop
 from uav_ident_ros.simulation.preparation import prepare

@@ -17,11 +17,7 @@ from programs import Capture, wait_for
 from recordings import NODE, Fly, call, recording
 from std_srvs.srv import Trigger
 
-from uav_ident_ros.files.coefficients_file import (
-    Notes,
-    load_with_notes,
-    save_coefficients,
-)
+from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings

@@ -27,16 +27,16 @@ from uav_ident_ros.report.charts import (
     state_chart,
 )
 from uav_ident_ros.report.diagrams import SAMPLE_RATE, autocorrelation, spectrum_charts, welch
-from uav_ident_ros.report.flight import Flight, predict
+from uav_ident_ros.report.flight import ReplayedFlight, predict
 from uav_ident_ros.report.page import _embed
-from uav_ident_ros.report.style import COLORS, REGRESSORS
+from uav_ident_ros.report.style import COLORS, HUES
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, thin
 
 
 @pytest.fixture(scope="module")
-def flight(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+def flight(tmp_path_factory: pytest.TempPathFactory) -> ReplayedFlight:
     bag = excerpt(tmp_path_factory.mktemp("flight") / "bag", 40.0)
-    return Flight(run_over(bag, parameters()))
+    return ReplayedFlight(run_over(bag, parameters()))
 
 
 # --- lines -----------------------------------------------------------------------------------
@@ -71,7 +71,7 @@ def test_a_gap_breaks_the_line() -> None:
 # --- predictions -----------------------------------------------------------------------------
 
 
-def test_the_residual_of_the_predictions_is_small(flight: Flight) -> None:
+def test_the_residual_of_the_predictions_is_small(flight: ReplayedFlight) -> None:
     for horizon in (1.0, 0.05):
         ahead = predict(flight, horizon)
         settled = ahead.t > 20.0
@@ -82,7 +82,7 @@ def test_the_residual_of_the_predictions_is_small(flight: Flight) -> None:
 # --- inputs ----------------------------------------------------------------------------------
 
 
-def test_the_power_of_a_multisine_lies_in_its_band(flight: Flight) -> None:
+def test_the_power_of_a_multisine_lies_in_its_band(flight: ReplayedFlight) -> None:
     inputs, _ = spectrum_charts(flight)
     data = inputs.model.renderers[0].data_source.data
     frequency = data["x"]
@@ -134,7 +134,7 @@ def test_a_foreign_truth_file_gives_no_true_values(tmp_path: Path, content: str)
 # --- pictures --------------------------------------------------------------------------------
 
 
-def test_all_charts_over_time_share_axis_and_crosshair(flight: Flight) -> None:
+def test_all_charts_over_time_share_axis_and_crosshair(flight: ReplayedFlight) -> None:
     line = Timeline(flight.span, [3.0])
     charts = [
         *rate_charts(flight, line, predict(flight, 0.05)),
@@ -158,14 +158,14 @@ def test_a_second_time_base_continues_the_time_axis(tmp_path: Path) -> None:
         message.header.stamp.sec += 86_400 * (log_ns > START_NS + 6 * SECOND_NS)
 
     bag = excerpt(tmp_path / "bag", 12.0, change=later)
-    two = Flight(run_over(bag, parameters()))
+    two = ReplayedFlight(run_over(bag, parameters()))
     assert two.restarts == pytest.approx([7.0], abs=0.1)  # after a pause of a second
     chart = state_chart(two, Timeline(two.span, two.restarts), [])
     low, high = chart.model.x_range.bounds
     assert low == 0.0 and 11.0 <= high <= 14.0
 
 
-def test_a_band_is_one_sigma_to_either_side(flight: Flight) -> None:
+def test_a_band_is_one_sigma_to_either_side(flight: ReplayedFlight) -> None:
     chart, *_ = coefficient_charts(flight, Timeline(flight.span, []), {})
     (drawn,) = [r for r in chart.model.renderers if isinstance(r.glyph, VArea)]
     data = drawn.data_source.data
@@ -194,7 +194,7 @@ def test_a_value_has_the_figures_of_its_sigma(value: float, sigma: float, text: 
 
 
 def test_measured_predicted_and_regressors_differ_in_colour() -> None:
-    colours = [COLORS["measured"], COLORS["ahead"], *REGRESSORS.values()]
+    colours = [COLORS["measured"], COLORS["ahead"], *HUES.values()]
     assert len(set(colours)) == len(colours)
 
 

@@ -16,11 +16,11 @@ from excerpts import summary as summary_of
 from html_page import one, parse, rows_of, table, words
 
 import uav_ident_ros
+from uav_ident_ros.commandline import NOT_USABLE
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.offline import NOT_USABLE
 from uav_ident_ros.offline.tables import coefficients_table
 from uav_ident_ros.report.page import _delay_section
 

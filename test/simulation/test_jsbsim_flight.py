@@ -8,7 +8,7 @@ import pytest
 from programs import Capture
 
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.simulation.aircraft import STATES, linearise, linearise_cruise
+from uav_ident_ros.simulation.aircraft import STATE_PROPERTIES, differentiate, linearise_cruise
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import Flight
@@ -39,7 +39,7 @@ def test_the_true_derivatives_predict_the_accelerations_of_every_aircraft(name: 
     truth = linearise_cruise(name).derivatives
     matrix = np.array(
         [
-            [truth[f"{row}/{name}"] for name in (*STATES, *INPUTS)]
+            [truth[f"{row}/{name}"] for name in (*STATE_PROPERTIES, *INPUTS)]
             for row in ("pdot", "qdot", "rdot")
         ]
     )
@@ -157,9 +157,9 @@ def test_the_small_aeroplane_has_its_published_derivatives() -> None:
 
 def test_more_pitch_inertia_reduces_every_pitch_derivative() -> None:
     live = LiveAircraft("c172p", SENSORS)
-    before = linearise(live.aircraft).derivatives
+    before = differentiate(live.aircraft).derivatives
     live.apply(Fault("inertia", "pitch", 1.3))
-    after = linearise(live.aircraft).derivatives
+    after = differentiate(live.aircraft).derivatives
     for name in ("qdot/de", "qdot/q", "qdot/alpha"):
         assert after[name] / before[name] == pytest.approx(1.0 / 1.3, rel=0.02), name
     assert after["pdot/da"] == pytest.approx(before["pdot/da"], rel=0.02)

@@ -19,7 +19,7 @@ LARGEST_PART = 64 * 2**20
 """Largest size of a chunk or message after decompression, bytes. Recorders close a chunk at one to
 eight million bytes; reading takes a few times as much memory."""
 
-LARGEST_RATIO = 100
+LARGEST_COMPRESSION = 100
 """Largest ratio of a file that is compressed as a whole; up to `LARGEST_PART` any ratio is allowed.
 Imu messages shrink to a fifth, those of a sensor at rest to a fiftieth."""
 
@@ -57,7 +57,7 @@ class _BoundedFile(reader.zstd.ZstdFile):
     def read(self, size: int | None = -1) -> bytes:
         """Read up to `size` bytes; raises `TooLargeError` beyond the limit."""
         data: bytes = super().read(size)
-        limit = max(LARGEST_PART, LARGEST_RATIO * os.fstat(self.fileno()).st_size)
+        limit = max(LARGEST_PART, LARGEST_COMPRESSION * os.fstat(self.fileno()).st_size)
         if self.tell() > limit:
             raise TooLargeError("the compressed file", limit)
         return data

@@ -166,7 +166,7 @@ IMU, JOINT_STATE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 VECTOR, TWIST = "geometry_msgs/msg/Vector3Stamped", "geometry_msgs/msg/TwistStamped"
 
-NOT_MEASURED, UNKNOWN = np.array([-1.0, *[0.0] * 8]), np.zeros(9)
+NOT_MEASURED, NOT_KNOWN = np.array([-1.0, *[0.0] * 8]), np.zeros(9)
 """Covariances of an Imu: no such measurement, and unknown covariance."""
 
 NO_TURN = (0.0, 0.0, 0.0, 1.0)
@@ -189,13 +189,13 @@ def imu(
     force: Sequence[float] | None,  # Specific force, m/s^2; None if it is not measured
     frame_id: str = "",
     orientation: Sequence[float] | None = None,  # x, y, z, w; None if it is not measured
-    covariances: tuple[FloatArray, FloatArray] = (UNKNOWN, UNKNOWN),  # of rates and force
+    covariances: tuple[FloatArray, FloatArray] = (NOT_KNOWN, NOT_KNOWN),  # of rates and force
 ) -> Any:
     """Return a sensor_msgs/msg/Imu."""
     return message_class(IMU)(
         header=header(t_ns, frame_id),
         orientation=message_class("geometry_msgs/msg/Quaternion")(*(orientation or NO_TURN)),
-        orientation_covariance=UNKNOWN if orientation else NOT_MEASURED,
+        orientation_covariance=NOT_KNOWN if orientation else NOT_MEASURED,
         angular_velocity=vector(*rates),
         angular_velocity_covariance=covariances[0],
         linear_acceleration=vector(*(force or NO_TURN[:3])),
@@ -219,7 +219,7 @@ def array(values: ArrayLike, dimensions: Sequence[tuple[str, int, int]] = ()) ->
     return message_class(ARRAY)(layout(dim, data_offset=0), np.ascontiguousarray(np.ravel(values)))
 
 
-def vector_stamped(t_ns: int, xyz: Sequence[float], frame_id: str = "") -> Any:
+def vector_stamped(t_ns: int, xyz: Sequence[float], frame_id: str) -> Any:
     """Return a geometry_msgs/msg/Vector3Stamped."""
     return message_class(VECTOR)(header(t_ns, frame_id), vector(*xyz))
 

@@ -4,6 +4,7 @@
 import numpy as np
 
 from uav_ident_ros.client.source import History
+from uav_ident_ros.identification.samples import NS_PER_S
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
@@ -48,6 +49,6 @@ class Excitation:
     def at(self, t_ns: int) -> FloatArray:
         """Return the excitation of de, dr, da, dth at `t_ns`, in their units."""
         newest = self._requests.at(t_ns)
-        if newest is None or t_ns - newest[0] > EXCITATION_TIMEOUT * 1e9:
+        if newest is None or t_ns - newest[0] > EXCITATION_TIMEOUT * NS_PER_S:
             return np.zeros(len(INPUTS))
         return newest[1].copy()

@@ -32,13 +32,13 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-STEP = 0.01
+LONGEST_STEP = 0.01
 """Longest step of a prediction, s: a tenth of the fastest mode of a small aircraft."""
 
 MIN_SINGULAR_RATIO = 0.01
 """Least over largest singular value below which the control matrix counts as singular."""
 
-SURFACES = ("de", "dr", "da")
+INVERSION_INPUTS = ("de", "dr", "da")
 """Inputs of the inversion by default: a fixed-wing aircraft does not use throttle for attitude."""
 
 
@@ -149,7 +149,7 @@ class AttitudeModel:
         given = np.asarray(x, dtype=np.float64)
         state = self._state(given)
         u = np.broadcast_to(np.asarray(u, dtype=np.float64), (*state.shape[:-1], 4))
-        steps = max(1, math.ceil(dt / STEP))
+        steps = max(1, math.ceil(dt / LONGEST_STEP))
         parts = list(np.moveaxis(state, -1, 0))
         if self.structure.has_flow:
             flow = self._flow_state()
@@ -198,7 +198,7 @@ class AttitudeModel:
         x: FloatArray,
         limits: FloatArray | None = None,
         force: FloatArray | None = None,
-        inputs: Sequence[str] = SURFACES,
+        inputs: Sequence[str] = INVERSION_INPUTS,
         input_forces: FloatArray | None = None,
     ) -> Inversion:
         """Return the smallest inputs that give the wanted angular acceleration.

@@ -16,23 +16,23 @@ from uav_ident_ros.messages.types import NS_PER_S
 LENGTH = 256
 """Values kept: 12 s of coefficients at 20 Hz, the longest `excitation.lead` at 200 Hz."""
 
-Value = TypeVar("Value")
+Entry = TypeVar("Entry")
 
 
-class History(Generic[Value]):
+class History(Generic[Entry]):
     """The newest values of a topic by their stamps."""
 
     def __init__(self) -> None:
-        self._items: deque[tuple[int, Value]] = deque(maxlen=LENGTH)
+        self._items: deque[tuple[int, Entry]] = deque(maxlen=LENGTH)
 
-    def add(self, t_ns: int, value: Value) -> None:
+    def add(self, t_ns: int, value: Entry) -> None:
         """Add a value: it hides earlier ones with a later stamp, as after a restart."""
         self._items.append((t_ns, value))
 
     def __len__(self) -> int:
         return len(self._items)
 
-    def at(self, t_ns: int) -> Value | None:
+    def at(self, t_ns: int) -> Entry | None:
         """Return the newest value stamped at or before `t_ns`; None if there is none."""
         for stamp, value in reversed(self._items):
             if stamp <= t_ns:

@@ -19,10 +19,10 @@ TOPIC = f"identifier/{NAMED}"
 EXCITATION_TOPIC = "identifier/excitation"
 """Topic of the excitation that a controller adds."""
 
-DEPTH = 10
+BURST_DEPTH = 10
 """Depth of the queue: it holds the ticks of a burst after a pause."""
 
-SURFACES = ("elevator", "rudder", "aileron")
+COMMANDED = ("elevator", "rudder", "aileron")
 """Names in a command."""
 
 
@@ -49,7 +49,7 @@ def subscribe(
         if callback is not None:
             callback(coefficients)
 
-    return node.create_subscription(JointState, topic, take, latched(DEPTH))
+    return node.create_subscription(JointState, topic, take, latched(BURST_DEPTH))
 
 
 def subscribe_excitation(node: Any, excitation: Excitation, topic: str = EXCITATION_TOPIC) -> Any:
@@ -59,7 +59,7 @@ def subscribe_excitation(node: Any, excitation: Excitation, topic: str = EXCITAT
     def take(message: JointState) -> None:
         excitation.add(header_ns(message), list(message.name), list(message.position))
 
-    return node.create_subscription(JointState, topic, take, DEPTH)
+    return node.create_subscription(JointState, topic, take, BURST_DEPTH)
 
 
 def answer_rates(
@@ -76,7 +76,7 @@ def answer_rates(
     from sensor_msgs.msg import Imu, JointState
 
     reference = np.zeros(3)
-    commands = node.create_publisher(JointState, "command", DEPTH)
+    commands = node.create_publisher(JointState, "command", BURST_DEPTH)
 
     def store(message: Vector3Stamped) -> None:
         reference[:] = xyz(message.vector)
@@ -85,7 +85,7 @@ def answer_rates(
         x = np.array(xyz(message.angular_velocity)) * FLU_TO_FRD
         if np.isfinite(x - reference).all():
             u = law(header_ns(message), x, reference.copy())
-            commands.publish(JointState(header=message.header, name=SURFACES, position=u.tolist()))
+            commands.publish(JointState(header=message.header, name=COMMANDED, position=u.tolist()))
 
-    node.create_subscription(Vector3Stamped, "rate_reference", store, DEPTH)
+    node.create_subscription(Vector3Stamped, "rate_reference", store, BURST_DEPTH)
     node.create_subscription(Imu, "imu/data", answer, qos_profile_sensor_data)

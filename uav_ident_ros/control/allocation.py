@@ -3,14 +3,14 @@
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, MAIN_PLACES, FloatArray
+from uav_ident_ros.identification.structure import MAIN_PLACES, ROWS, FloatArray
 
 REST = 1e-3
 """Weight of small inputs relative to the acceleration error, both as shares of full travel. It
 decides only between inputs of equal effect."""
 
-AXES, MAINS = MAIN_DERIVATIVES[0], MAIN_PLACES
-"""Rows and columns of the main control derivatives in B: each axis, and its own input."""
+MAIN_EFFECTS = np.arange(len(ROWS)), MAIN_PLACES
+"""Index of the main control derivatives in B: each axis, and its own input."""
 
 
 def allocate(
@@ -37,8 +37,8 @@ def allocate(
         raise ValueError("the control derivatives or the wanted acceleration are not finite")
     low, high = limits
     travel = np.where(high > low, high - low, 1.0)
-    own = effect[AXES, MAINS]
-    least, most = np.sort(own * limits[:, MAINS], axis=0)
+    own = effect[MAIN_EFFECTS]
+    least, most = np.sort(own * limits[:, MAIN_PLACES], axis=0)
     weight = np.minimum(1.0, 0.5 * (most - least) / scale) / scale
     # the unknowns are shares of travel, s: u = travel * s
     rows = np.vstack([weight[:, None] * effect * travel, REST * np.eye(len(low))])
@@ -50,7 +50,7 @@ def allocate(
 
     demand = np.clip(wanted, least, most)
     u = solved(demand)
-    by_others = effect @ u - own * u[MAINS]  # cross-axis effect of the other axes' inputs
+    by_others = effect @ u - own * u[MAIN_PLACES]  # cross-axis effect of the other axes' inputs
     whole = np.clip(wanted, least + by_others, most + by_others)
     return u if np.array_equal(whole, demand) else solved(whole)
 

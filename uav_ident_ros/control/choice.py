@@ -17,11 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uav_ident_ros.client import AttitudeModel, Coefficients, CoefficientSource
-from uav_ident_ros.control.allocation import AXES, MAINS, authority
+from uav_ident_ros.control.allocation import MAIN_EFFECTS, authority
 from uav_ident_ros.control.effectiveness import CORRELATION, Effectiveness
+from uav_ident_ros.identification.samples import NS, NS_PER_S
 from uav_ident_ros.identification.structure import (
     INPUT_COLUMNS,
     INPUTS,
+    MAIN_PLACES,
     ROWS,
     BoolArray,
     FloatArray,
@@ -80,7 +82,7 @@ class AxisChoice:
         self._source, self._limits, self._adaptive = source, limits, adaptive
         self.nominal = control_derivatives(nominal)[0]  # (3, 4)
         self._rows = self.nominal.copy()  # rows adopted, and the main derivatives in use
-        self._main = self._rows[AXES, MAINS]
+        self._main = self._rows[MAIN_EFFECTS]
         # sigma of a measured main derivative over the nominal one, and its message time, ns
         self._sigma, self._measured_ns = np.zeros(len(ROWS)), np.zeros(len(ROWS), dtype=np.int64)
         # (3,) Nominal authority of each axis, rad/s^2, the scale of `allocate`
@@ -109,22 +111,22 @@ class AxisChoice:
             self._invert_signs(measured, certain)
             self._scale(t_ns, measured, certain)
         values = self._rows.copy()
-        values[AXES, MAINS] = self._main
+        values[MAIN_EFFECTS] = self._main
         rescaled = zip(self._rescaled.tolist(), self._sources, strict=True)
         sources = tuple(MEASURED if other else source for other, source in rescaled)
-        share = _quotient(self._main, self.nominal[AXES, MAINS])
+        share = _quotient(self._main, self.nominal[MAIN_EFFECTS])
         return Effect(values, share, sources, (*self._reasons,))
 
     @property
     def measured_by(self) -> FloatArray:
         """Reference B of the measurement, (3, 4): nominal main derivatives, adopted cross ones."""
         values = self._rows.copy()
-        values[AXES, MAINS] = self.nominal[AXES, MAINS]
+        values[MAIN_EFFECTS] = self.nominal[MAIN_EFFECTS]
         return values
 
     def discard_measured(self) -> None:
         """Return to the adopted main derivatives, after a measurement with a wrong delay."""
-        self._main = self._rows[AXES, MAINS]
+        self._main = self._rows[MAIN_EFFECTS]
 
     def _adopt(self, t_ns: int, measured: Effectiveness) -> None:
         newest = self._source.newest(t_ns)
@@ -138,11 +140,11 @@ class AxisChoice:
                     continue
                 found, known = control_derivatives(fresh)
                 row = np.where(known[i] & ~self._inverted, found[i], self._rows[i])
-                row[MAINS[i]] = found[i, MAINS[i]]
-                reason = self._rejection(i, row, bool(known[i, MAINS[i]]), measured)
+                row[MAIN_PLACES[i]] = found[i, MAIN_PLACES[i]]
+                reason = self._rejection(i, row, bool(known[i, MAIN_PLACES[i]]), measured)
                 if not reason:
-                    self._rows[i], self._main[i] = row, row[MAINS[i]]
-                    self._sources[i], self._inverted[MAINS[i]] = IDENTIFIED, False
+                    self._rows[i], self._main[i] = row, row[MAIN_PLACES[i]]
+                    self._sources[i], self._inverted[MAIN_PLACES[i]] = IDENTIFIED, False
                     adopted.append(i)
             if reason and self._sources[i] == IDENTIFIED:
                 self._sources[i] = LAST_GOOD
@@ -163,7 +165,7 @@ class AxisChoice:
     @property
     def _flown(self) -> FloatArray:
         """Main derivatives in use over the adopted ones, (3,): 1 unless a measured one is used."""
-        return _quotient(self._main, self._rows[AXES, MAINS])
+        return _quotient(self._main, self._rows[MAIN_EFFECTS])
 
     @property
     def _rescaled(self) -> BoolArray:
@@ -177,7 +179,7 @@ class AxisChoice:
         share = authority(found[None], self._limits)[0] / self.scale[i]
         if not FLYABLE[0] <= share <= FLYABLE[1]:
             return f"{row} would have {share:.2g} times its nominal authority"
-        share = float(_quotient(found[MAINS[i]], self._main[i]))
+        share = float(_quotient(found[MAIN_PLACES[i]], self._main[i]))
         if share < 0.0 and not measured.reversed[i]:
             return f"{row} would turn its sign, which the flight does not show"
         if self._rescaled[i] and abs(share - 1.0) > 2.0 * NOTICEABLE:
@@ -191,18 +193,18 @@ class AxisChoice:
             measured.changed(int(i))
         # A jamming surface causes one jerk of the wrong sign, but a surface without effect has no
         # sign. With the former sign the loop is right when it comes free.
-        for i in np.flatnonzero(measured.dead & self._inverted[MAINS] & certain):
+        for i in np.flatnonzero(measured.dead & self._inverted[MAIN_PLACES] & certain):
             self._invert_axis(i, LAST_GOOD)
 
     def _invert_axis(self, i: np.intp, source: str) -> None:
         """Reverse the sign of the input of an axis."""
-        self._rows[:, MAINS[i]] = -self._rows[:, MAINS[i]]
-        self._inverted[MAINS[i]] = not self._inverted[MAINS[i]]
-        self._main[i], self._sources[i] = self._rows[i, MAINS[i]], source
+        self._rows[:, MAIN_PLACES[i]] = -self._rows[:, MAIN_PLACES[i]]
+        self._inverted[MAIN_PLACES[i]] = not self._inverted[MAIN_PLACES[i]]
+        self._main[i], self._sources[i] = self._rows[i, MAIN_PLACES[i]], source
 
     def _scale(self, t_ns: int, measured: Effectiveness, certain: BoolArray) -> None:
         """Use the measured main derivative where it has differed significantly for long enough."""
-        nominal, rows = self.nominal[AXES, MAINS], self._rows[AXES, MAINS]
+        nominal, rows = self.nominal[MAIN_EFFECTS], self._rows[MAIN_EFFECTS]
         size = np.abs(nominal)
         # faults reduce the effect: an increase needs twice the significance
         twice = 2.0 * SIGMAS
@@ -216,9 +218,9 @@ class AxisChoice:
         self._agreed_ns = np.where(away & certain, self._agreed_ns, t_ns)
         # without flow angles in the model, their effect would be attributed to the inputs
         can = certain & self.model.structure.has_flow
-        significant = can & (t_ns - self._agreed_ns > CORRELATION * 1e9)
+        significant = can & (t_ns - self._agreed_ns > CORRELATION * NS_PER_S)
         # after a significant change, the measurement with the smallest sigma is used
-        faded = self._sigma * (1.0 + np.maximum(t_ns - self._measured_ns, 0) * 1e-9 / FADING)
+        faded = self._sigma * (1.0 + np.maximum(t_ns - self._measured_ns, 0) * NS / FADING)
         refined = can & ~significant & self._rescaled & (measured.since_sigma <= faded)
         measured.begin(significant)
         found = np.where(rings, rows, np.where(significant, found, measured.since * nominal))

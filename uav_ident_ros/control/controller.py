@@ -10,6 +10,7 @@ from uav_ident_ros.control.lateness import DelayMeter
 from uav_ident_ros.control.laws import MAX_INTERVAL, Gains, IncrementalLaw, InversionLaw
 from uav_ident_ros.control.response import Response
 from uav_ident_ros.control.sideslip import rolls_over, yaw_for_roll
+from uav_ident_ros.identification.samples import NS, NS_PER_S
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
 
 Law = type[IncrementalLaw] | type[InversionLaw]
@@ -69,7 +70,7 @@ class RateController:
         """
         if not (np.isfinite(x).all() and np.isfinite(reference).all()):
             return self._newest
-        dt, before_ns = (t_ns - self._last_ns) * 1e-9, self._last_ns
+        dt, before_ns = (t_ns - self._last_ns) * NS, self._last_ns
         self._last_ns = t_ns
         if not 0.0 < dt < MAX_INTERVAL:
             if dt > LONGEST_HOLD:
@@ -112,7 +113,7 @@ class RateController:
     def _measure(self, before_ns: int, dt: float, x: FloatArray) -> None:
         """Update the measured effectiveness and delay by the `dt` s since the last sample."""
         inputs = np.array([self._acting(before_ns, delay) for delay in self.delay.delays])
-        delayed_reference = self._references.at(before_ns - round(self.delay.delay * 1e9))
+        delayed_reference = self._references.at(before_ns - round(self.delay.delay * NS_PER_S))
         response, choice = self._response, self._choice
         if not response.update(x, choice.measured_by, inputs, dt, choice.model, delayed_reference):
             return
@@ -133,7 +134,7 @@ class RateController:
 
     def _acting(self, t_ns: int, delay: float) -> FloatArray:
         """Return the inputs that act from `t_ns` until the next sample, shape (4,)."""
-        u = self._commands.at(t_ns - round(1e9 * delay))
+        u = self._commands.at(t_ns - round(NS_PER_S * delay))
         return np.zeros(4) if u is None else u
 
     def inject(self, t_ns: int, u: FloatArray, excitation: FloatArray) -> FloatArray:

@@ -35,11 +35,11 @@ import numpy as np
 from uav_ident_ros.control.response import BANDWIDTH
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
-WINDOW = 2.0
+CHANGE_WINDOW = 2.0
 """Window in which a change is detected, s. With 1.5 s, false alarms by gusts are half as many
 again; with 2.5 s the median flight waits 0.25 s longer."""
 
-PERIOD = 0.05
+EVALUATION_PERIOD = 0.05
 """Time between two evaluations, s: short relative to the window."""
 
 CORRELATION = 0.3
@@ -63,24 +63,24 @@ LEAST_TIME = 0.7
 LEAST_SIGMA = 0.1
 """Lower bound of the standard deviation of g: B is not constant."""
 
-SURE = 22.0
+CERTAIN = 22.0
 """Log-likelihood ratio from which an effect counts as reversed or lost. On the c172p, a sudden
 onset of severe gusts (6 of 7) reaches 8 for 'reversed', an aileron with half of its effect 7; a
 reversed one passes it in 0.2 s."""
 
 LEAST_DETECTION_TIME = np.array([[0.15], [0.1]])
-"""Shortest times to reach `SURE`, reversed and lost, s. A shifting load, or a motor that loses
+"""Shortest times to reach `CERTAIN`, reversed and lost, s. A shifting load, or a motor that loses
 thrust, turns the aircraft one way while the inputs already move the other way, for as long as the
 filter keeps it. With 0.1 s four of 54 quadrotors with such a motor fly with a reversed input."""
 
-HYPOTHESES = np.array([[1.0], [0.5]]), np.array([[-1.0], [0.0]])
+EFFECT_HYPOTHESES = np.array([[1.0], [0.5]]), np.array([[-1.0], [0.0]])
 """Factors of the null hypotheses, and of their alternatives 'reversed' and 'lost'. Half of the
 effect is weak, not lost."""
 
 UNKNOWN = 1e3
 """Standard deviation of g before any measurement."""
 
-EVALUATIONS = round(WINDOW / PERIOD)
+EVALUATIONS = round(CHANGE_WINDOW / EVALUATION_PERIOD)
 SHAPES = (2, 2, 3), (2, 2, 3, 3), (1, 3), (1, 3)
 """Evaluations in a window, and shapes of the integrals, axes last: answered and made times demanded
 and made; their autocovariances, times demanded, 1 and made; demanded^2; 1."""
@@ -120,12 +120,12 @@ class Effectiveness:
     @property
     def reversed(self) -> BoolArray:
         """Axes whose inputs act with the sign opposite to that in use, shape (3,)."""
-        return np.asarray(self._log_ratio[0] >= SURE)
+        return np.asarray(self._log_ratio[0] >= CERTAIN)
 
     @property
     def recovering(self) -> BoolArray:
         """Dead axes whose inputs show an effect again, not yet surely, shape (3,)."""
-        return np.asarray(self.dead & (self._log_ratio[1] < 0.5 * SURE))
+        return np.asarray(self.dead & (self._log_ratio[1] < 0.5 * CERTAIN))
 
     def changed(self, axis: int) -> None:
         """Discard the measurements of an axis, after a change of its inputs."""
@@ -172,7 +172,7 @@ class Effectiveness:
             rival = rival[0], rival[1] * believed
         self._compare(answered, made * believed, dt, rival)
         self._since_evaluation += dt
-        if self._since_evaluation >= PERIOD:
+        if self._since_evaluation >= EVALUATION_PERIOD:
             self._since_evaluation = 0.0
             self._evaluate()
         if rival is not None:
@@ -187,7 +187,7 @@ class Effectiveness:
         rival: tuple[FloatArray, FloatArray] | None,
     ) -> None:
         """Update the likelihood ratios of 'reversed' and 'lost' by one sample."""
-        believed, instead = HYPOTHESES
+        believed, instead = EFFECT_HYPOTHESES
         rest = np.minimum((answered - made) ** 2, (answered - instead * made) ** 2)
         if self._age >= LEAST_TIME:
             rest = np.minimum(rest, OUTLIER**2 * self._noise)
@@ -202,10 +202,10 @@ class Effectiveness:
             plain = np.minimum(plain, (rival[0] - rival[1]) ** 2)
         ratio = plain - (clipped - instead * made) ** 2
         step = BANDWIDTH / 2.0 * ratio / (2.0 * np.maximum(self._noise, 1e-12))
-        most = SURE / LEAST_DETECTION_TIME
-        self._log_ratio = np.clip(self._log_ratio + dt * np.clip(step, -most, most), 0.0, SURE)
+        most = CERTAIN / LEAST_DETECTION_TIME
+        self._log_ratio = np.clip(self._log_ratio + dt * np.clip(step, -most, most), 0.0, CERTAIN)
         lost = self._log_ratio[1]
-        self.dead = np.where(self.dead, lost > 0.0, lost >= SURE)
+        self.dead = np.where(self.dead, lost > 0.0, lost >= CERTAIN)
 
     def _evaluate(self) -> None:
         """Compute g and its sigma over the window and since the last change."""
@@ -223,14 +223,14 @@ class Effectiveness:
             part.reshape(shape) for part, shape in zip(parts, SHAPES, strict=True)
         )
         (answered, made), (aa, am), (ma, mm) = sums, *products
-        known = (time > WINDOW - PERIOD / 2.0) & (made != 0.0)
+        known = (time > CHANGE_WINDOW - EVALUATION_PERIOD / 2.0) & (made != 0.0)
         made = np.where(known, made, 1.0)
         g = answered / made
 
         def variance(z: int, g: FloatArray) -> FloatArray:
             return np.asarray(aa[z] - g * (am[z] + ma[z]) + g**2 * mm[z])
 
-        rest = np.maximum(variance(1, g[0]) / np.maximum(time, WINDOW), before[-1])
+        rest = np.maximum(variance(1, g[0]) / np.maximum(time, CHANGE_WINDOW), before[-1])
         spread = np.stack([np.maximum(variance(0, g[0]), rest * demanded), variance(2, g[1])])
         sigma = np.sqrt(np.maximum(spread, 0.0)) / np.abs(made)
         # g of a sum that is zero by chance: its size is as large as its sigma

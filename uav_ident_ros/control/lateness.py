@@ -19,7 +19,7 @@ import numpy as np
 from uav_ident_ros.control.response import BANDWIDTH
 from uav_ident_ros.identification.structure import FloatArray
 
-STEP = 0.01
+DELAY_STEP = 0.01
 """Spacing of the bank of delays, s: at 15 rad/s a phase of 0.15 rad, two percent of g."""
 
 LATEST = 0.08
@@ -28,15 +28,15 @@ LATEST = 0.08
 SOONEST = 0.02
 """Shortest delay of the bank below the configured one, s: gyro noise imitates shorter ones."""
 
-MEMORY = 5.0
+LATENESS_MEMORY = 5.0
 """Time constant of forgetting, s. A delay seldom changes in flight, but a wrong one must be found
 before the oscillation grows too large."""
 
-RIVAL, SURE = 2.0, 10.0
+RIVAL, REPLACING = 2.0, 10.0
 """Log-likelihood ratios from which another delay is a rival of the one in use, odds of 7 to 1, and
 replaces it, of 22,000 to 1: neighbouring samples correlate more than is accounted for."""
 
-PERIOD = 0.05
+COMPARISON_PERIOD = 0.05
 """Time between comparisons, s: short relative to the memory."""
 
 LEAST_RESIDUAL = 1e-12
@@ -50,8 +50,8 @@ class DelayMeter:
         self,
         assumed: float,  # The configured delay, s, in use at the start
     ) -> None:
-        steps, sooner = round(LATEST / STEP), max(0, round((assumed - SOONEST) / STEP))
-        self.delays = assumed + STEP * np.arange(-sooner, steps + 1)  # (n,) The bank, s
+        steps, sooner = round(LATEST / DELAY_STEP), max(0, round((assumed - SOONEST) / DELAY_STEP))
+        self.delays = assumed + DELAY_STEP * np.arange(-sooner, steps + 1)  # (n,) The bank, s
         self.in_use = sooner  # Index of the delay in use
         self.restart()
 
@@ -78,20 +78,20 @@ class DelayMeter:
     ) -> bool:
         """Add one sample; return whether the delay in use has changed."""
         f = np.stack([made, np.broadcast_to(acceleration, made.shape), answered], axis=-1)
-        keep = np.exp(-dt / MEMORY)
+        keep = np.exp(-dt / LATENESS_MEMORY)
         self._products = keep * self._products + dt * f[..., :, None] * f[..., None, :]
         self._weight = keep * self._weight + dt
         self._since += dt
-        if self._since < PERIOD:
+        if self._since < COMPARISON_PERIOD:
             return False
         self._since = 0.0
         likely = self.likelihood()
         best = int(np.argmax(likely))
         lead = likely[best] - likely[self.in_use]
-        self.rival = best if RIVAL < lead <= SURE else None
-        if lead > SURE:
+        self.rival = best if RIVAL < lead <= REPLACING else None
+        if lead > REPLACING:
             self.in_use = best
-        return bool(lead > SURE)
+        return bool(lead > REPLACING)
 
     def likelihood(self) -> FloatArray:
         """Return the log-likelihood of each delay, up to a constant."""

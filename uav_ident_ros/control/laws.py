@@ -30,7 +30,7 @@ class Gains:
         return replace(self, rate=(p, q, r), bandwidth=factor * self.bandwidth)
 
 
-DAMPING = 0.8
+DAMPING_RATIO = 0.8
 """Damping ratio of the common filter of rates and inputs: an overshoot of 1.5 %."""
 
 
@@ -50,7 +50,7 @@ class Smoother:
     def update(self, signal: FloatArray, dt: float) -> None:
         """Advance by `dt` s with `signal` held."""
         w = self._bandwidth
-        decay, damped = DAMPING * w, w * np.sqrt(1.0 - DAMPING**2)
+        decay, damped = DAMPING_RATIO * w, w * np.sqrt(1.0 - DAMPING_RATIO**2)
         away = self.value - signal
         c, s = np.cos(damped * dt), np.sin(damped * dt) / damped
         e = np.exp(-decay * dt)
@@ -164,10 +164,10 @@ class InversionLaw:
         acting: FloatArray,
     ) -> FloatArray:
         """Return de, dr, da, dth; parameters as of `IncrementalLaw.update`, and the model."""
-        unforced = without_flow(model, x)
+        unforced = acceleration_without_flow(model, x)
         known = unforced + effect @ acting
         # bumpless transfer to a new model: the sum of model and disturbance stays
-        before = without_flow(self._model, x) + self._effect @ acting
+        before = acceleration_without_flow(self._model, x) + self._effect @ acting
         self._disturbance = self._disturbance + before - known
         self._model, self._effect = model, effect
         error, w = x - self._xhat, self.gains.bandwidth * OBSERVER
@@ -177,7 +177,7 @@ class InversionLaw:
         return allocate(effect, wanted - unforced, self.limits, self.scale)
 
 
-def without_flow(model: AttitudeModel, x: FloatArray) -> FloatArray:
+def acceleration_without_flow(model: AttitudeModel, x: FloatArray) -> FloatArray:
     """Return the angular acceleration at zero inputs and flow angles, shape (3,).
 
     The observer estimates the effect of the flow angles.

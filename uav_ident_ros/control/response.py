@@ -17,12 +17,12 @@ import math
 import numpy as np
 
 from uav_ident_ros.client import AttitudeModel
-from uav_ident_ros.control.allocation import MAINS
+from uav_ident_ros.control.allocation import MAIN_EFFECTS
 from uav_ident_ros.control.laws import Smoother
 from uav_ident_ros.identification.flow import ATTITUDE_GAIN, FlowState
 from uav_ident_ros.identification.linearisation import STATES, level_flight, linearise
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.identification.structure import ROWS, FloatArray
+from uav_ident_ros.identification.structure import MAIN_PLACES, ROWS, FloatArray
 
 BANDWIDTH = 15.0
 """Bandwidth of the filter, rad/s."""
@@ -32,7 +32,7 @@ FORGETTING = 30.0
 It is long relative to the memories of both estimators. The bank angle returns to the observed one
 with `ATTITUDE_GAIN`."""
 
-AXES = slice(0, len(ROWS))
+STATE_RATES = slice(0, len(ROWS))
 """Indices of the rates in the state."""
 
 BETA, ALPHA, PHI = range(len(ROWS), len(STATES))
@@ -71,8 +71,8 @@ class Response:
         """Add one sample; return whether there is a response: not after the first one."""
         if model is not self._model:
             self._model, self._a = model, own_motion(model)
-        self._states[:, AXES] = x, np.zeros(3) if reference is None else reference
-        own = effect[:, MAINS].diagonal()
+        self._states[:, STATE_RATES] = x, np.zeros(3) if reference is None else reference
+        own = effect[MAIN_EFFECTS]
         if self._smoothers is None:
             self._smoothers = Smoother(BANDWIDTH, self._states), Smoother(BANDWIDTH, inputs)
             return False
@@ -81,12 +81,12 @@ class Response:
         states.update(self._states, dt)
         moved.update(inputs, dt)
         self._states = self._states + dt * self._slopes(model)  # measured rates replace those
-        jerk = (states.slope - before)[:, AXES] / dt
-        alone, demanded = jerk - (states.slope @ self._a.T)[:, AXES]
-        self.made = moved.slope[:, MAINS] * own
+        jerk = (states.slope - before)[:, STATE_RATES] / dt
+        alone, demanded = jerk - (states.slope @ self._a.T)[:, STATE_RATES]
+        self.made = moved.slope[:, MAIN_PLACES] * own
         self.answered = alone - (moved.slope @ effect.T - self.made)
-        self.demanded = own * (np.linalg.pinv(effect[:, MAINS]) @ demanded)
-        self.acceleration = states.slope[0, AXES]
+        self.demanded = own * (np.linalg.pinv(effect[:, MAIN_PLACES]) @ demanded)
+        self.acceleration = states.slope[0, STATE_RATES]
         return True
 
     def _slopes(self, model: AttitudeModel) -> FloatArray:
@@ -115,7 +115,7 @@ def own_motion(model: AttitudeModel) -> FloatArray:
     airspeed = math.inf if flow is None else flow.airspeed
     level = level_flight(model.structure, model.values, airspeed)
     a, _ = linearise(model.structure, model.values, level)
-    known = AXES if flow is None else slice(0, len(a))
+    known = STATE_RATES if flow is None else slice(0, len(a))
     out[known, known] = a[known, known]
     angles = np.array([BETA, ALPHA])
     out[angles, angles] -= 1.0 / FORGETTING

@@ -52,7 +52,7 @@ VERSION = "1"
 LARGEST_FILE = 1_000_000
 """Largest size of a coefficients file, bytes: a typical one has a few thousand."""
 
-LATEST_NS = 2**63
+BEYOND_INT64_NS = 2**63
 """First stamp out of range, ns: stamps are signed integers of 64 bits."""
 
 _TOP_KEYS = ("format", "version", "structure", "stamp", "coefficients")
@@ -164,7 +164,7 @@ def _lines(coefficients: CoefficientSet, notes: Notes) -> Iterator[str]:
         # JSON strings are YAML strings too.
         yield from (f"  {name}: {json.dumps(text)}" for name, text in notes.learned_with.items())
     yield "coefficients:"
-    for name, index in zip(structure.names, structure.free, strict=True):
+    for name, index in structure.places.items():
         value, sigma = float(coefficients.values[index]), float(coefficients.sigma[index])
         if not math.isfinite(value):
             raise EntryError(f"coefficient {name} is {value}")
@@ -234,14 +234,14 @@ def _coefficients(content: Any, wanted: str | None) -> CoefficientSet:
     structure = STRUCTURES[name]
     entries = mapping(top["coefficients"], "coefficients", structure.names)
     values, sigma = np.zeros(structure.mask.shape), np.zeros(structure.mask.shape)
-    for name, index in zip(structure.names, structure.free, strict=True):
+    for name, index in structure.places.items():
         entry = mapping(entries[name], name, _ENTRY_KEYS)
         values[index] = _number(entry["value"], f"the value of {name}")
         unknown = entry["sigma"] in _INFINITY
         sigma[index] = math.inf if unknown else _number(entry["sigma"], f"the sigma of {name}")
         if sigma[index] < 0.0:
             raise EntryError(f"the sigma of {name} is negative")
-    t_ns = nanoseconds(top["stamp"], NS_PER_S, LATEST_NS, "stamp")
+    t_ns = nanoseconds(top["stamp"], NS_PER_S, BEYOND_INT64_NS, "stamp")
     return CoefficientSet(structure.name, values, sigma, t_ns)
 
 

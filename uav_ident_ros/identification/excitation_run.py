@@ -10,6 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from uav_ident_ros.identification.estimate import Estimate
+from uav_ident_ros.identification.samples import NS, NS_PER_S
 from uav_ident_ros.identification.scales import RESPONSE_TIME, SURE
 from uav_ident_ros.identification.settings import EXCITATION_TIMEOUT, ExcitationSettings
 from uav_ident_ros.identification.structure import (
@@ -91,7 +92,7 @@ class Sufficiency:
         if not unknown.any():
             return 0.0
         start_ns, before = self._start
-        span = (t_ns - start_ns) * 1e-9
+        span = (t_ns - start_ns) * NS
         gained = information[unknown] - before[unknown]
         if span < RESPONSE_TIME or (gained <= 0.0).any():
             return math.inf
@@ -187,7 +188,7 @@ class ExcitationRun:
     @property
     def elapsed(self) -> float:
         """Time since the start of the run, s."""
-        return max(0.0, (self._now_ns - self._start_ns) * 1e-9) if self._input else 0.0
+        return max(0.0, (self._now_ns - self._start_ns) * NS) if self._input else 0.0
 
     @property
     def remaining(self) -> float:
@@ -211,7 +212,7 @@ class ExcitationRun:
         except WaveformError as error:
             return f"'excitation.band': {error}"
         self._settings = settings
-        self._lead_ns = round(settings.lead * 1e9)
+        self._lead_ns = round(settings.lead * NS_PER_S)
         self._now_ns, self._start_ns = estimate.t_ns, estimate.t_ns + self._lead_ns
         names = self._input.names
         self.sufficiency = Sufficiency(self._structure, names, settings.min_t_ratio or math.inf)
@@ -243,7 +244,7 @@ class ExcitationRun:
         self.sufficiency.update(t_ns, estimate.coefficients, estimate.sigma)
         unknown = ", ".join(self.sufficiency.unknown)
         enough = self._settings.min_t_ratio > 0.0 and not unknown
-        t = (t_ns + self._lead_ns - self._start_ns) * 1e-9
+        t = (t_ns + self._lead_ns - self._start_ns) * NS
         if self.phase is Phase.RUNNING and t >= self._input.period and enough:
             self.phase, self._end_ns = Phase.ENDING, t_ns
             self.why = f"everything is known after {self.elapsed:.0f} s"
@@ -257,7 +258,7 @@ class ExcitationRun:
         """Return the factor of the signal while it fades out early, 0 ... 1."""
         if self.phase is not Phase.ENDING:
             return 1.0
-        since = (t_ns - self._end_ns) * 1e-9
+        since = (t_ns - self._end_ns) * NS
         fade = self._settings.fade_time
         return max(0.0, 1.0 - since / fade) if fade > 0.0 else 0.0
 

@@ -20,7 +20,7 @@ from uav_ident_ros.identification.gyro import GyroFilters
 from uav_ident_ros.identification.model import GRAVITY, LARGEST_ANGLE, plan_steps
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.scales import GRAVITY_BAND, RESPONSE_TIME
-from uav_ident_ros.identification.speed import LARGEST_RATIO
+from uav_ident_ros.identification.speed import LARGEST_SPEED_RATIO
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
     RATE_COLUMNS,
@@ -135,7 +135,7 @@ class FlowObserver:
     ) -> None:
         """Observe the attitude and flow angles over a block, and add them to it."""
         v = self._reference
-        if airspeed is not None and airspeed > v / LARGEST_RATIO:
+        if airspeed is not None and airspeed > v / LARGEST_SPEED_RATIO:
             v = airspeed
         self._speed = v
         plan = plan_steps(len(block.u), block.h)

@@ -41,10 +41,10 @@ deviations of the gyro's noise."""
 CHANCE = math.erfc(SURE / math.sqrt(2.0))
 """Expected number below which an event is not due to chance: the tail beyond `SURE` sigma."""
 
-SIGNALS = ("p", "q", "r", "ax", "ay", "az")
+IMU_SIGNALS = ("p", "q", "r", "ax", "ay", "az")
 """Signals of an Imu, in its own axes."""
 
-AXES = 3
+SENSOR_AXES = 3
 """Signals of each sensor of an Imu."""
 
 EXCITATION_TIME = RESPONSE_TIME + INDEPENDENT_TIME
@@ -164,7 +164,7 @@ class TickMeans:
     def __init__(self, span: float) -> None:  # Time for which they are kept, s
         self._span = span
         self._new: list[tuple[float, FloatArray]] = []
-        self._means: FloatArray = np.empty((0, 1 + len(SIGNALS)))
+        self._means: FloatArray = np.empty((0, 1 + len(IMU_SIGNALS)))
 
     def add(self, t: float, samples: FloatArray) -> None:
         """Store the samples, (k, 6), of the tick at `t` s, if there are any."""
@@ -199,11 +199,11 @@ class Outliers:
 
     def __init__(self) -> None:
         self._at_range = 0  # Number of consecutive samples at the range, up to the newest
-        self._square: FloatArray = np.zeros(len(SIGNALS))
+        self._square: FloatArray = np.zeros(len(IMU_SIGNALS))
         self._time = 0.0
         # Last sample, and last one that was not a spike
         self._last: FloatArray | None = None
-        self._kept: FloatArray = np.zeros(len(SIGNALS))
+        self._kept: FloatArray = np.zeros(len(IMU_SIGNALS))
 
     def find(
         self,
@@ -216,7 +216,7 @@ class Outliers:
         The last sample has no successor yet: the last one that was not a spike stands in for it.
         """
         glitches = spikes = None
-        rates = samples[:, :AXES]
+        rates = samples[:, :SENSOR_AXES]
         if len(samples) and np.maximum.reduce(np.abs(rates), None) >= max_rate > 0.0:
             glitches = np.zeros(len(samples), dtype=bool)
             for k, far in enumerate((np.abs(rates) >= max_rate).any(axis=1).tolist()):
@@ -266,9 +266,9 @@ class SensorGate:
     def __init__(self) -> None:
         self._repeats = Repeats()
         self._last: list[float] = []
-        self._moved = [math.inf] * len(SIGNALS)  # Time of the last change of each, s
+        self._moved = [math.inf] * len(IMU_SIGNALS)  # Time of the last change of each, s
         # Of each rate: the largest magnitude so far, and the range detected from it
-        self._largest, self._range = [0.0] * AXES, [math.inf] * AXES
+        self._largest, self._range = [0.0] * SENSOR_AXES, [math.inf] * SENSOR_AXES
         self._bad_until = -math.inf
         self._reason = ""
 
@@ -280,10 +280,10 @@ class SensorGate:
             self._repeats.add(samples)
             high = np.maximum.reduce(samples).tolist()
             low = np.minimum.reduce(samples).tolist()
-            size = [max(high[i], -low[i]) for i in range(AXES)]
+            size = [max(high[i], -low[i]) for i in range(SENSOR_AXES)]
             stuck = self._stuck(t, high, low, settings.stuck_time)
             self._last = samples[-1].tolist()
-            problem = _at_range(size, [settings.max_rate or math.inf] * AXES) or stuck
+            problem = _at_range(size, [settings.max_rate or math.inf] * SENSOR_AXES) or stuck
             if not problem:
                 # A range below the configured one: a rate repeats its largest value so far.
                 for i, largest in enumerate(size):
@@ -312,13 +312,13 @@ class SensorGate:
         if not stuck:
             return ""
         self._repeats.strange[stuck] = True
-        signal = SIGNALS[stuck[0]]
+        signal = IMU_SIGNALS[stuck[0]]
         return f"the Imu is stuck: {signal} has not changed for {stuck_time:g} s or more"
 
 
 def _at_range(size: list[float], limits: list[float]) -> str:
     """Return the reason to pause if a rate is at its range; else empty."""
-    for signal, value, limit in zip(SIGNALS, size, limits, strict=False):
+    for signal, value, limit in zip(IMU_SIGNALS, size, limits, strict=False):
         if value >= limit:
             return f"the gyro is saturated: {signal} reaches {limit:g} rad/s"
     return ""
@@ -332,13 +332,13 @@ class Repeats:
 
     def __init__(self) -> None:
         self._waiting: list[FloatArray] = []  # The last counted sample, then those not counted yet
-        self._present: FloatArray = np.zeros(len(SIGNALS))
+        self._present: FloatArray = np.zeros(len(IMU_SIGNALS))
         # Number of the runs that have ended, and of the repeats in them
-        self._runs: FloatArray = np.zeros(len(SIGNALS))
-        self._repeats: FloatArray = np.zeros(len(SIGNALS))
-        self._changes: FloatArray = np.ones(len(SIGNALS))
+        self._runs: FloatArray = np.zeros(len(IMU_SIGNALS))
+        self._repeats: FloatArray = np.zeros(len(IMU_SIGNALS))
+        self._changes: FloatArray = np.ones(len(IMU_SIGNALS))
         # Signals whose present run is not counted: it was stuck, or has not changed since the start
-        self.strange: BoolArray = np.ones(len(SIGNALS), dtype=bool)
+        self.strange: BoolArray = np.ones(len(IMU_SIGNALS), dtype=bool)
 
     def add(self, samples: FloatArray) -> None:
         """Add new samples, (k, 6); those of many ticks are counted together."""
@@ -383,7 +383,7 @@ class Repeats:
         present, runs = self.present, self._runs + 1.0
         first = runs / (self._changes + 1.0)
         another = (self._repeats - self._runs + first) / (self._repeats + 1.0)
-        another = np.repeat(another.reshape(-1, AXES).max(axis=1), AXES)
+        another = np.repeat(another.reshape(-1, SENSOR_AXES).max(axis=1), SENSOR_AXES)
         return np.asarray(runs * another ** (present - 1.0))
 
 
@@ -413,12 +413,12 @@ class RestGate:
         if len(means):
             self._looked = t
             swing = np.maximum.reduce(means) - np.minimum.reduce(means)
-            rate, what = float(swing[:AXES].max()), ""
+            rate, what = float(swing[:SENSOR_AXES].max()), ""
             if rate < settings.min_motion and rate < max(
-                REST_SWAY, NOISE_SWING * _noise(means[:, :AXES])
+                REST_SWAY, NOISE_SWING * _noise(means[:, :SENSOR_AXES])
             ):
                 what = "no rate moves beyond the gyro's noise"
-            elif swing[AXES:].max() < settings.min_force_motion:
+            elif swing[SENSOR_AXES:].max() < settings.min_force_motion:
                 what = f"no specific force has moved by {settings.min_force_motion:g} m/s^2"
             flies = look.airspeed is not None and look.airspeed > slowest(look.settings.airspeed)
             self._reason = what and f"{'too quiet' if flies else 'at rest'}: {what}"

@@ -25,7 +25,7 @@ from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.scales import DOUBTLESS, GRAVITY_BAND, LONG_MEMORY, SURE, TINY
 from uav_ident_ros.identification.structure import FloatArray
 
-FORCE_SIGMA = GRAVITY_BAND * GRAVITY
+MEAN_FORCE_SIGMA = GRAVITY_BAND * GRAVITY
 """Standard deviation of the mean specific force of a block from that of flight along the
 longitudinal axis, m/s^2: the flow angles change as well."""
 
@@ -140,9 +140,9 @@ class GyroFilters:
         by_bias = np.einsum("sk,hkij->shij", shares, by_bias)
         by_attitude = np.broadcast_to(GRAVITY * cross_matrices(self._down), by_bias.shape)
         slope = np.concatenate([by_attitude, by_bias], axis=3)
-        scaled = innovation[0] / FORCE_SIGMA, slope[0] / FORCE_SIGMA
+        scaled = innovation[0] / MEAN_FORCE_SIGMA, slope[0] / MEAN_FORCE_SIGMA
         self._judge(*scaled, 1.0 - time / LONG_MEMORY, shows_axes=shows_axes)
-        weighted = weight / FORCE_SIGMA**2 * slope[1].swapaxes(1, 2)
+        weighted = weight / MEAN_FORCE_SIGMA**2 * slope[1].swapaxes(1, 2)
         information = self._information + weighted @ slope[1]
         error = np.linalg.solve(information, weighted @ innovation[1, ..., None])[..., 0]
         self._turn(turns[:, -1], lever[:, -1], error, information, time)

@@ -37,7 +37,7 @@ from uav_ident_ros.identification.samples import (
     EXCITATION,
     NO_TICK,
     NS,
-    RATES,
+    RATES_STREAM,
     Drop,
     Intake,
     SampleBuffer,
@@ -249,7 +249,7 @@ class OnlineIdentifier:
         self.supervisor.reset()
         self.plausibility = Plausibility(self.settings)
         self.intake.buffers = {
-            RATES: self.sampler.rates,
+            RATES_STREAM: self.sampler.rates,
             ACTUATORS: self.sampler.raw_inputs,
             AIRSPEED: self._speed.samples,
             ARMED: self._armed,
@@ -450,7 +450,7 @@ class OnlineIdentifier:
             for which, drop in zip(found, (Drop.GLITCH, Drop.SPIKE), strict=True):
                 if which is not None:
                     rates.leave_out(which)
-                    self.intake.drops[RATES][drop] += int(which.sum())
+                    self.intake.drops[RATES_STREAM][drop] += int(which.sum())
             samples, channels = rates.v[new:], inputs.v
         while steps := self.intake.clock_steps.steps:
             self.plausibility.note(t_ns * NS, clock_step(steps.pop(0) * NS))

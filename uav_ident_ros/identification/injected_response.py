@@ -26,7 +26,7 @@ from uav_ident_ros.identification.structure import BoolArray, FloatArray
 
 ComplexArray = NDArray[np.complex128]
 
-WINDOW = round(HORIZONS[-1] / SAMPLE_TIME)
+WINDOW_SIZE = round(HORIZONS[-1] / SAMPLE_TIME)
 """Samples of a window, 5 s: much longer than delays and lags."""
 
 SHIFT = 2.0 * SAMPLE_TIME
@@ -38,7 +38,9 @@ SHIFTS = SHIFT * np.arange(round(HORIZONS[0] / SHIFT) + 1)
 _HARMONICS = np.arange(1, round(HORIZONS[-1] / (2.0 * SHIFT)) + 1)
 _OMEGA = 2.0 * np.pi * _HARMONICS / HORIZONS[-1]
 # The squares of two overlapping tapers add up to one, as without windows.
-_TAPER = np.sin(np.pi * (np.arange(WINDOW) + 0.5) / WINDOW)[:, None] / np.sqrt(WINDOW)
+_TAPER = np.sin(np.pi * (np.arange(WINDOW_SIZE) + 0.5) / WINDOW_SIZE)[:, None] / np.sqrt(
+    WINDOW_SIZE
+)
 _SMOOTH = np.ones(round(HORIZONS[-1] / INDEPENDENT_TIME))  # Harmonics in a mean of the noise
 
 # Signals: injected de dr da, then p q r, ay az, de dr da, and the slopes of p q r.
@@ -92,8 +94,8 @@ class InjectedResponse:
         slopes = np.diff(x[::2, :3], axis=0) / SAMPLE_TIME
         new = np.concatenate((0.5 * (steps[::2] + steps[1::2]), slopes), axis=1)
         signals, keep = np.concatenate((self._half, new)), np.exp(-0.5 / BLOCKS)
-        while len(signals) >= WINDOW:
-            window, signals = signals[:WINDOW], signals[WINDOW // 2 :]
+        while len(signals) >= WINDOW_SIZE:
+            window, signals = signals[:WINDOW_SIZE], signals[WINDOW_SIZE // 2 :]
             if not (window[:, _INJECTED].any() and np.isfinite(window).all()):
                 continue
             lines = np.fft.rfft((window - window.mean(axis=0)) * _TAPER, axis=0)[_HARMONICS]

@@ -56,7 +56,7 @@ ENOUGH = 2.0 * RESPONSE_TIME
 """Time before the first finding, s: a launch is over by then, and mistakes are named within 10 s.
 Channels are checked over the same time."""
 
-WINDOW = 2.0 * ENOUGH
+FORCE_WINDOW = 2.0 * ENOUGH
 """Time over which the rotated specific force is averaged, s: a change of velocity of 20 m/s is a
 quarter of a g."""
 
@@ -90,7 +90,7 @@ LARGEST_DEFLECTION = math.pi
 COUNTS = math.degrees(LARGEST_DEFLECTION)
 """Deviation from trim that is too large for degrees as well: the channel is in microseconds."""
 
-STEP = 0.02
+INPUT_STEP = 0.02
 """Smallest step of an input that is not noise, rad or throttle."""
 
 RETURNING_SHARE = 0.1
@@ -151,7 +151,7 @@ class Plausibility:
 
     def restart(self) -> None:
         """Begin a new stretch of signals: drop the present findings, keep `noted`."""
-        self._motion = TickMeans(WINDOW)
+        self._motion = TickMeans(FORCE_WINDOW)
         self._inputs: list[tuple[float, FloatArray]] = []
         self._began: float | None = None
         self._looked = -math.inf
@@ -312,7 +312,7 @@ class Plausibility:
     ) -> Finding | None:
         """Return a finding if gravity is constant only for rates read as deg/s; any axes."""
         speed = float(np.mean(np.linalg.norm(rates, axis=1)))
-        if times[-1] - times[0] < WINDOW - INDEPENDENT_TIME or speed < SMALLEST_MEAN_RATE:
+        if times[-1] - times[0] < FORCE_WINDOW - INDEPENDENT_TIME or speed < SMALLEST_MEAN_RATE:
             return None
         if np.std(np.linalg.norm(force, axis=1)) > PULLING_SPEED * math.radians(speed):
             return None
@@ -322,8 +322,8 @@ class Plausibility:
         return Finding(
             "gyro units",
             f"the gyro looks like deg/s: it turns at {speed:.1f} rad/s on average, and turned back "
-            f"by it the specific force of the last {WINDOW:g} s is {left:.1f} g in place of 1 g; "
-            "convert the angular velocity to rad/s (REP-103)",
+            f"by it the specific force of the last {FORCE_WINDOW:g} s is {left:.1f} g in place of "
+            "1 g; convert the angular velocity to rad/s (REP-103)",
         )
 
     # -- channels --------------------------------------------------------------------------
@@ -400,10 +400,10 @@ def _interleaved(name: str, u: FloatArray) -> Finding | None:
     """Return a finding if samples of two streams alternate: each step is reversed by the next."""
     step = np.abs(u[1:] - u[:-1])
     away = np.minimum(step[:-1], step[1:])
-    if np.count_nonzero(away > STEP) < RETURNING_SHARE * len(away):  # nearly always
+    if np.count_nonzero(away > INPUT_STEP) < RETURNING_SHARE * len(away):  # nearly always
         return None
     over_two = np.abs(u[2:] - u[:-2])
-    differ = away > max(SURE * float(np.median(over_two)), STEP)
+    differ = away > max(SURE * float(np.median(over_two)), INPUT_STEP)
     returns = differ & (away > SURE * over_two)
     share = float(np.mean(returns))
     # An oscillation reverses only some of its steps.

@@ -61,7 +61,7 @@ SETTLED_NS = 30_000_000_000
 LAST_PART = 0.4
 """Share of the flight, at its end, of the first set of windows."""
 
-_FORCES = LAST_COLUMNS.start - EXOGENOUS_COLUMNS.start
+_AY_ROW = LAST_COLUMNS.start - EXOGENOUS_COLUMNS.start
 """Row of ay among de, dr, da, dth, 1, ay, az."""
 
 
@@ -453,7 +453,7 @@ def _predictions(
         rows, derivative, more = len(ROWS), rates_derivative(a), []
     else:
         rows, derivative, still = len(a), flight_derivative(a), np.zeros(len(node))
-        known, more = known[:, :_FORCES], [1.0 / flow[5], still, still, still]
+        known, more = known[:, :_AY_ROW], [1.0 / flow[5], still, still, still]
         state += list(flow[:5])
     derivative = with_own(derivative, a, structure)
     terms = np.argwhere(known[:rows].any(axis=2)).tolist()
@@ -463,7 +463,7 @@ def _predictions(
         """Evaluate the part of the model that does not depend on the state."""
         parts = list(np.zeros((rows, len(node))))
         for i, j in terms:
-            value = grid.signals[j, start] if held and j >= _FORCES else signals[j, node]
+            value = grid.signals[j, start] if held and j >= _AY_ROW else signals[j, node]
             parts[i] += known[i, j] * value
         inputs = list(signals[: len(INPUTS), node]) if structure.own else []
         return parts + more + inputs

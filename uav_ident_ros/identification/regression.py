@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from uav_ident_ros.identification.filters import BlockFilter, low_pass
 from uav_ident_ros.identification.frames import lever_arm_matrix
 from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.scales import SAMPLE_TIME, TINY
 from uav_ident_ros.identification.structure import (
@@ -444,7 +445,7 @@ class BackwardDifference:
     ) -> Regression | None:
         """Return the sample of this tick, None at the first one."""
         before, self._before = self._before, (t_ns, x)
-        if before is None or (t_ns - before[0]) * 1e-9 > 1.5 * dt:
+        if before is None or (t_ns - before[0]) * NS > 1.5 * dt:
             return None
         f = without_negligible(self._structure.regressor(x, u, force))[None]
         y = without_negligible((x - before[1]) / dt)[None]

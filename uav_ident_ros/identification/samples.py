@@ -109,7 +109,7 @@ class SampleBuffer:
 # --- intake ---------------------------------------------------------------------------------------
 
 
-RATES, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
+RATES_STREAM, ACTUATORS, AIRSPEED, ARMED = "rates", "actuators", "airspeed", "armed"
 EXCITATION = "excitation"
 """Names of the streams, the keys of `Intake.drops`."""
 
@@ -159,7 +159,7 @@ def sample_problem(t_ns: int, *parts: tuple[Sequence[float], int, float]) -> Dro
     return Drop.BEYOND_STAMP if t_ns > LATEST_STAMP else None
 
 
-class Stream(NamedTuple):
+class SideStream(NamedTuple):
     """A stream beside that of the rates."""
 
     width: int  # Number of values of a sample
@@ -172,7 +172,7 @@ class Stream(NamedTuple):
 USUAL = 4 * IN_A_ROW
 """Samples that determine the usual offset between two streams."""
 
-SETTLED_NS = round(INDEPENDENT_TIME / NS)
+STEP_PERSISTS_NS = round(INDEPENDENT_TIME / NS)
 """Time for which a step must persist before it is accepted, ns: a queue of messages is shorter."""
 
 STEP_NS = round(STEP / NS)
@@ -238,7 +238,7 @@ class ClockSteps:
         offset = float(np.mean([offset for _, offset in self._after]))
         size = round(offset - float(np.mean(self._offsets)))
         passed_ns = (last_ns - last) - (first_ns - first)  # on the rates' clock; may be late, too
-        if len(self._after) < USUAL or passed_ns < max(abs(size), SETTLED_NS):
+        if len(self._after) < USUAL or passed_ns < max(abs(size), STEP_PERSISTS_NS):
             return 0
         size = size if abs(size) > STEP_NS else 0
         if size:
@@ -268,10 +268,10 @@ class Intake:
     ) -> None:
         channels = len(settings.actuators.channels)
         self._streams = {
-            ACTUATORS: Stream(channels, LARGEST_NUMBER),
-            AIRSPEED: Stream(1, LARGEST_MOTION),
-            ARMED: Stream(1, 1.0, kept_if_late=True),
-            EXCITATION: Stream(len(INPUTS), LARGEST_NUMBER, kept_if_late=True, cancels=True),
+            ACTUATORS: SideStream(channels, LARGEST_NUMBER),
+            AIRSPEED: SideStream(1, LARGEST_MOTION),
+            ARMED: SideStream(1, 1.0, kept_if_late=True),
+            EXCITATION: SideStream(len(INPUTS), LARGEST_NUMBER, kept_if_late=True, cancels=True),
         }
         self._restart_all = restart
         self._rate = Fraction(settings.update_rate).limit_denominator(1_000_000)
@@ -281,7 +281,9 @@ class Intake:
         self._lookback_ns += 2 * self._jump_ns
         self.buffers: Mapping[str, SampleBuffer] = {}  # Those that receive the samples, by stream
         # For each stream the number of dropped samples by reason
-        self.drops: dict[str, Counter[Drop]] = {name: Counter() for name in (RATES, *self._streams)}
+        self.drops: dict[str, Counter[Drop]] = {
+            name: Counter() for name in (RATES_STREAM, *self._streams)
+        }
         self.fault = ""  # Problem of the clocks, evidence and cure; empty if none
         self.restart()
 
@@ -315,7 +317,7 @@ class Intake:
             take = self._take_outlying if far else self._take_rates
             problem = take(t_ns, pqr, force)
         if problem is not None:
-            self.drops[RATES][problem] += 1
+            self.drops[RATES_STREAM][problem] += 1
         return problem
 
     def _take_rates(self, t_ns: int, pqr: Sequence[float], force: Sequence[float]) -> Drop | None:
@@ -324,7 +326,7 @@ class Intake:
         self._outlying.clear()
         if t_ns <= self.last_tick_ns:
             return Drop.LATE
-        if not self.buffers[RATES].append(t_ns, (*pqr, *force)):
+        if not self.buffers[RATES_STREAM].append(t_ns, (*pqr, *force)):
             return Drop.DUPLICATE
         if self.last_tick_ns == NO_TICK:
             # The first samples may arrive in any order.
@@ -349,7 +351,7 @@ class Intake:
         if len(outlying) < IN_A_ROW:
             return Drop.OUTLYING_STAMP
         self.newest_ns = t_ns
-        self.drops[RATES][Drop.OUTLYING_STAMP] -= len(outlying) - 1
+        self.drops[RATES_STREAM][Drop.OUTLYING_STAMP] -= len(outlying) - 1
         self._held = [partial(self.add_rates, *sample) for sample in outlying]
         if not self._due:
             self._take_held()

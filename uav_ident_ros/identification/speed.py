@@ -26,7 +26,7 @@ from uav_ident_ros.identification.structure import (
     Structure,
 )
 
-LARGEST_RATIO = 3.0
+LARGEST_SPEED_RATIO = 3.0
 """Largest ratio of airspeed and reference, or its inverse, at which the scaling holds: at lower
 speed the flow separates, at higher speed the measurement is wrong."""
 
@@ -40,7 +40,7 @@ SILENCE = f"no airspeed has arrived in the last {RESPONSE_TIME:g} s"
 
 def slowest(settings: AirspeedSettings) -> float:
     """Return the lowest airspeed at which the scaling holds, m/s."""
-    return settings.reference / LARGEST_RATIO
+    return settings.reference / LARGEST_SPEED_RATIO
 
 
 def unmeasured(settings: Settings) -> str:
@@ -147,7 +147,7 @@ class SpeedScaling:
                 filtered.add(int(stamps[k]), values[k])
             self.newest, self.airspeed = values[-1], filtered.airspeed
             ratio = self.airspeed / self._reference
-            ratio = min(max(ratio, 1.0 / LARGEST_RATIO), LARGEST_RATIO)
+            ratio = min(max(ratio, 1.0 / LARGEST_SPEED_RATIO), LARGEST_SPEED_RATIO)
             self.scale = ratio**self._power
             self._share = filtered.sigma / (ratio * self._reference)
             self.known = True

@@ -235,7 +235,8 @@ class Structure:
         return tuple(f"{self.row_labels[i]}/{self.regressors[j]}" for i, j in self.free)
 
     @cached_property
-    def _index(self) -> dict[str, tuple[int, int]]:
+    def places(self) -> dict[str, tuple[int, int]]:
+        """(row, column) of every coefficient by its name, row-major."""
         return dict(zip(self.names, self.free, strict=True))
 
     def index(self, name: str) -> tuple[int, int]:
@@ -247,7 +248,7 @@ class Structure:
             If the structure has no such coefficient.
         """
         try:
-            return self._index[name]
+            return self.places[name]
         except KeyError:
             raise ValueError(
                 f"structure '{self.name}' has no coefficient '{name}'; "

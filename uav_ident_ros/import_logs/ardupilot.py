@@ -24,7 +24,7 @@ from uav_ident_ros.import_logs.flight_log import (
     Effect,
     FlightLog,
     ImportLogError,
-    Stream,
+    LogStream,
     effect_of,
     effects_of_arms,
     named_once,
@@ -74,7 +74,7 @@ class _ArduPilot(Import):
     def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
         return {"RCOU": self._pins, "RATE": self.demands, "AETR": self.demands}
 
-    def hovers(self, commands: Stream) -> bool:
+    def hovers(self, commands: LogStream) -> bool:
         return _firmware(self.log.title) == "Copter" or commands.source == "RATE"
 
     def explained(self, usable: Usable) -> Usable:
@@ -112,7 +112,7 @@ class _ArduPilot(Import):
         log.findings.read.append(
             "functions, ranges, directions from SERVOn_FUNCTION, _MIN, _TRIM, _MAX, _REVERSED"
         )
-        return Stream(widths.source, widths.t_ns, widths.values[:, used]), named_once(channels)
+        return LogStream(widths.source, widths.t_ns, widths.values[:, used]), named_once(channels)
 
 
 def _firmware(text: str) -> str:

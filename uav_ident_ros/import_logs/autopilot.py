@@ -15,13 +15,14 @@ import numpy as np
 import yaml
 
 from uav_ident_ros.identification.frames import quaternions
+from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
     Findings,
     FlightLog,
-    Stream,
+    LogStream,
     effect_of,
     rates_stream,
 )
@@ -46,7 +47,7 @@ logged for a part of the flight alone."""
 AS_FAST = 0.9
 """Share of the highest rate that counts as that rate: messages of one loop differ by a sample."""
 
-Actuators = tuple[Stream, list[Channel]]
+Actuators = tuple[LogStream, list[Channel]]
 """Raw values of the commands, and the channel of each column."""
 
 Usable = dict[str, Messages]
@@ -88,7 +89,7 @@ class Import:
         """Return a reader for each kind of commands, nearest to the actuators first."""
         raise NotImplementedError
 
-    def hovers(self, commands: Stream) -> bool:
+    def hovers(self, commands: LogStream) -> bool:
         """Return whether the commands are those of a multirotor, or of a VTOL's hover."""
         raise NotImplementedError
 
@@ -221,7 +222,7 @@ class Import:
                 continue
             source, self.flown = found
             if self.flown:
-                seconds = sum(end - start for start, end in self.flown) * 1e-9
+                seconds = sum(end - start for start, end in self.flown) * NS
                 self.findings.read.append(
                     f"{state} for {seconds:.1f} s in {len(self.flown)} stretch(es) ({source})"
                 )
@@ -251,7 +252,7 @@ class Import:
                 return source, intervals(t_ns, active, self.log.end_ns)
         return None
 
-    def _rates(self) -> Stream:
+    def _rates(self) -> LogStream:
         """Read the rates that the user chose, or the first that are fast enough, or the fastest."""
         fields = self.table["rates"]
         usable = self._find("rates", fields, self.log.messages)
@@ -382,7 +383,7 @@ class Import:
             },
         )
 
-    def _first(self, name: str, *, sampled: bool = False) -> Stream | None:
+    def _first(self, name: str, *, sampled: bool = False) -> LogStream | None:
         """Return a stream, (k, C), from the first of its kinds of messages with finite values."""
         for kind, fields in self.table["streams"][name].items():
             messages = self.log.messages(kind)
@@ -391,10 +392,10 @@ class Import:
                 if np.isfinite(values).any():
                     self._note(kind, messages.name)
                     t_ns = messages.sample_ns if sampled else messages.stamp_ns
-                    return Stream(kind, t_ns, values)
+                    return LogStream(kind, t_ns, values)
         return None
 
-    def _estimates(self) -> dict[str, Stream]:
+    def _estimates(self) -> dict[str, LogStream]:
         """Return the autopilot's airspeed, attitude, rate setpoint and mode, where logged."""
         streams = {}
         if airspeed := self._first("airspeed", sampled=True):
@@ -419,10 +420,10 @@ class Import:
             self.findings.read.append(
                 f"mode: {mode.source}.{field}: {', '.join(dict.fromkeys(modes))}"
             )
-            streams["mode"] = Stream(mode.source, mode.t_ns[changed], modes)
+            streams["mode"] = LogStream(mode.source, mode.t_ns[changed], modes)
         return streams
 
-    def _airspeed_ratio(self, airspeed: Stream) -> FloatArray:
+    def _airspeed_ratio(self, airspeed: LogStream) -> FloatArray:
         """Return the ratio of true to indicated airspeed (k, 1); 1 where it is not logged."""
         if not self.table["streams"]["airspeed_ratio"]:
             return np.ones((1, 1))

@@ -5,6 +5,7 @@ import re
 from array import array
 from collections.abc import Sequence
 
+from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.import_logs.log import Log
 
 Gap = tuple[int, int]
@@ -78,7 +79,7 @@ class BinaryLog:
         if not gaps:
             return
         share = sum(end - begin for begin, end in gaps) / self.size
-        seconds = share * (log.end_ns - log.start_ns) * 1e-9
+        seconds = share * (log.end_ns - log.start_ns) * NS
         log.findings.damage.insert(
             0,
             f"the file is damaged: {round(share * self.size)} of {self.size} bytes "

@@ -17,7 +17,7 @@ from uav_ident_ros.import_logs.flight_log import (
     Choice,
     FlightLog,
     ImportLogError,
-    Stream,
+    LogStream,
     effects_of_arms,
 )
 from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
@@ -28,7 +28,7 @@ MAGIC = b"H Product:Blackbox flight data recorder"
 
 KNOWN = table("betaflight")
 
-SIGNALS = (*KNOWN["rates"], *KNOWN["force"], "motor")
+SIGNAL_FIELDS = (*KNOWN["rates"], *KNOWN["force"], "motor")
 """Fields of measurements and commands."""
 
 WRAP = 2.0**32
@@ -64,7 +64,7 @@ class _Blackbox(Import):
 
     headers: Mapping[str, Any]  # Headers of the log
 
-    def hovers(self, commands: Stream) -> bool:
+    def hovers(self, commands: LogStream) -> bool:
         return True
 
     def readers(self) -> Mapping[str, Callable[[Messages], Actuators]]:
@@ -92,7 +92,7 @@ class _Blackbox(Import):
             Channel(f"motor_{i}", effect, "motor of quad x", unit="counts")
             for i, effect in enumerate(effects_of_arms(arms), 1)
         ]
-        commands = Stream(messages.name, messages.stamp_ns, values)
+        commands = LogStream(messages.name, messages.stamp_ns, values)
         return commands, [motor.over_range(float(low), float(high)) for motor in motors]
 
 
@@ -146,13 +146,13 @@ def _read(log: Log) -> tuple[dict[str, Any], dict[str, Column]]:
         log.findings.damage.append(
             f"orangebox skipped {skipped} place(s) of the file that it could not read as a frame"
         )
-    used = ("time", "loopIteration", *SIGNALS)
+    used = ("time", "loopIteration", *SIGNAL_FIELDS)
     columns = {
         name: np.array([frame[i] for frame in frames], dtype=float)
         for i, name in enumerate(parser.field_names)
         if name.startswith(used)
     }
-    for name in [name for name in columns if name.startswith(SIGNALS)]:
+    for name in [name for name in columns if name.startswith(SIGNAL_FIELDS)]:
         columns[name] = (columns[name] + WRAP / 2.0) % WRAP - WRAP / 2.0
     if not frames or "time" not in columns:
         raise log.refusal(" has no frames that can be read")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uav_ident_ros.commandline import USAGE_ERROR, OneLineParser, given_path
+from uav_ident_ros.commandline import LINE_LENGTH, USAGE_ERROR, OneLineParser, given_path
 from uav_ident_ros.import_logs import blackbox, dataflash, px4_log
 from uav_ident_ros.import_logs.ardupilot import read_ardupilot
 from uav_ident_ros.import_logs.csv_table import EXAMPLE, load_column_map, read_csv
@@ -47,8 +47,6 @@ FOREIGN = {
     rb"version https://git-lfs": "a pointer of Git LFS: fetch the file itself with 'git lfs pull'",
 }
 """Files that cannot be read, by a pattern of their first bytes: what they are, and what to do."""
-
-WIDTH = 100
 
 CHANGES = "mode"
 """The stream with a sample for each change, and so without a rate."""
@@ -115,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     from uav_ident_ros.bags.writing import BagWriteError  # help needs none of these
     from uav_ident_ros.files.parameter_file import PARAMETER_FILE
-    from uav_ident_ros.import_logs.writing import fitting, summary, write_import
+    from uav_ident_ros.import_logs.writing import fitting, log_summary, write_import
 
     folder: Path = options.output or Path(options.log.stem)
     try:
@@ -128,10 +126,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
     print(f"{log.path.name}: {log.title}")
-    for title, sentences in summary(log, values).items():
+    for title, sentences in log_summary(log, values).items():
         print(f"\n{title}")
         for sentence in sentences:
-            print(textwrap.fill(sentence, WIDTH, initial_indent="  - ", subsequent_indent="    "))
+            print(
+                textwrap.fill(
+                    sentence, LINE_LENGTH, initial_indent="  - ", subsequent_indent="    "
+                )
+            )
     following = shlex.join(["replay", str(folder), "--params-file", str(folder / PARAMETER_FILE)])
     print(f"\nwritten to {folder}; next: {following}")
     return DAMAGED if log.findings.damage else 0

@@ -28,13 +28,13 @@ from uav_ident_ros.import_logs.flight_log import (
     Channel,
     FlightLog,
     ImportLogError,
-    Stream,
+    LogStream,
     rates_stream,
 )
 from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
-from uav_ident_ros.import_logs.stamps import LATEST_NS
+from uav_ident_ros.import_logs.stamps import BEYOND_STAMPS_NS
 
-UNITS: Mapping[str, Mapping[str, float]] = {
+UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
     "rates": {"rad/s": 1.0, "deg/s": math.pi / 180.0},
     "specific_force": {"m/s^2": 1.0, "g": GRAVITY},
@@ -62,7 +62,7 @@ channels:
 class ColumnMap:
     """Meaning of the columns of a table."""
 
-    # Columns and unit (SI or ns) of each quantity of `UNITS` in the table
+    # Columns and unit (SI or ns) of each quantity of `UNIT_FACTORS` in the table
     quantities: Mapping[str, tuple[list[str], float]]
     channels: dict[str, Channel]  # Channel by column
     axes: str  # ``frd`` or ``flu``
@@ -91,7 +91,7 @@ def _column_map(content: Any) -> ColumnMap:
         raise EntryError(f"axes is '{axes}': allowed are frd, flu")
     arm = _three(top.get("lever_arm", [0.0, 0.0, 0.0]), "lever_arm", "numbers forward, right, down")
     x, y, z = (finite(value, "lever_arm") for value in arm)
-    quantities = {name: _quantity(top[name], name) for name in UNITS if name in top}
+    quantities = {name: _quantity(top[name], name) for name in UNIT_FACTORS if name in top}
     return ColumnMap(quantities, _channels(top["channels"]), axes, (x, y, z), delimiter)
 
 
@@ -99,7 +99,7 @@ def _quantity(content: Any, name: str) -> tuple[list[str], float]:
     """Return the columns and the unit of a quantity."""
     key, more = ("columns", ("unit", "counts")) if name in VECTORS else ("column", ("unit",))
     entry = mapping(content, name, (key,), more)
-    units = UNITS[name]
+    units = UNIT_FACTORS[name]
     # Rates in a wrong unit look plausible: their unit has no default.
     unit = entry.get("unit", None if name == "rates" else next(iter(units)))
     if unit not in [*units]:
@@ -148,7 +148,7 @@ TOO_LATE = "; shift the column, or say its unit in the column map"
 COMMENT = "#"
 """Start of lines that are skipped."""
 
-EMPTY = ("", "nan", "NaN", "NA", "null")
+NO_VALUE = ("", "nan", "NaN", "NA", "null")
 """Cells without a value: the stream has no sample in this row."""
 
 
@@ -195,7 +195,7 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
     )
 
 
-def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
+def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, LogStream]:
     """Return the streams of a table; its rows must be in the order of time."""
     if rows is None:
         raise EntryError("it has no row with a plausible stamp")
@@ -212,9 +212,9 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
         for name, (names, unit) in columns.quantities.items()
         if name != "time"
     }
-    streams: dict[str, Stream] = {}
+    streams: dict[str, LogStream] = {}
 
-    def add(what: str, names: Collection[str], stream: Stream, some: Any = np.all) -> None:
+    def add(what: str, names: Collection[str], stream: LogStream, some: Any = np.all) -> None:
         there = some(np.isfinite(rows.values(*names)), axis=1)
         if not there.any():
             raise EntryError(f"it has no {what}: columns {', '.join(names)} are empty")
@@ -224,7 +224,7 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, Stream]:
     add("rates", columns.quantities["rates"][0], rates)
     add("actuators", columns.channels, rows.stream(*columns.channels), np.any)
     if "airspeed" in measured:
-        speed = Stream(rows.name, t_ns, measured["airspeed"][:, 0])
+        speed = LogStream(rows.name, t_ns, measured["airspeed"][:, 0])
         add("airspeed", columns.quantities["airspeed"][0], speed)
     return streams
 
@@ -277,7 +277,7 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
             short.append(line)
             continue
         where = f"line {line}: the time"
-        t_ns.append(nanoseconds(cells[place], int(unit_ns), LATEST_NS, where, TOO_LATE))
+        t_ns.append(nanoseconds(cells[place], int(unit_ns), BEYOND_STAMPS_NS, where, TOO_LATE))
         values.append([_number(line, cells[other]) for other in places])
     if not values:
         raise EntryError("it has no complete row below its header")
@@ -293,6 +293,6 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
 
 def _number(line: int, cell: str) -> float:
     try:
-        return float("nan" if cell in EMPTY else cell)
+        return float("nan" if cell in NO_VALUE else cell)
     except ValueError:
         raise EntryError(f"line {line}: '{cell}' is no number{comma(cell)}") from None

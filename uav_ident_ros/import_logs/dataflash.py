@@ -15,16 +15,17 @@ from pathlib import Path
 
 import numpy as np
 
+from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.import_logs.binary import CUT_OFF, BinaryLog
 from uav_ident_ros.import_logs.log import STAMPS, Column, Log, Messages
 
-HEADER = b"\xa3\x95"
+SYNC = b"\xa3\x95"
 """First bytes of every message, before the number of its type."""
 
 FMT = 0x80
 """Type of the messages that declare the types."""
 
-MAGIC = HEADER + bytes([FMT])
+MAGIC = SYNC + bytes([FMT])
 """First bytes of every dataflash log."""
 
 SDLOG2 = ("TIME", "StartTime")
@@ -103,7 +104,7 @@ def read_dataflash(path: Path, types: Collection[str]) -> Log:
 def _take_parameters(log: Log, columns: dict[str, Column]) -> None:
     names, values = (columns.get(field, np.zeros(0)) for field in ("Name", "Value"))
     stamped = STAMPS.keys() & columns
-    t = Messages("", columns).stamp_ns * 1e-9 if stamped else np.zeros(len(values))
+    t = Messages("", columns).stamp_ns * NS if stamped else np.zeros(len(values))
     for name, value, at in zip(names, values.tolist(), t.tolist(), strict=False):
         log.set_parameter(_text(name), float(value), at)
 
@@ -123,17 +124,17 @@ class _Dataflash(BinaryLog):
             self.kinds[number] = kind
             self._lengths.add(kind.dtype.itemsize)
             known = re.escape(bytes(self.kinds))
-            self.begins = re.compile(re.escape(HEADER) + b"[" + known + b"]", re.DOTALL)
+            self.begins = re.compile(re.escape(SYNC) + b"[" + known + b"]", re.DOTALL)
 
     def length(self, at: int) -> int:
         header = self.data[at : at + 3]
-        kind = self.kinds.get(header[2]) if header[:2] == HEADER and len(header) == 3 else None
+        kind = self.kinds.get(header[2]) if header[:2] == SYNC and len(header) == 3 else None
         return kind.dtype.itemsize if kind and at + kind.dtype.itemsize <= self.size else 0
 
     def is_misread(self, last: int, at: int, following: int) -> bool:
         # Then message plus gap have the length of a type, and at most one header byte is right.
         first, second, number = self.data[at : at + 3].ljust(3, b"\0")
-        alike = (first == HEADER[0]) + (second == HEADER[1]) + (number in self.kinds)
+        alike = (first == SYNC[0]) + (second == SYNC[1]) + (number in self.kinds)
         return following - last in self._lengths and alike < 2
 
     def register(self, at: int, length: int) -> None:
@@ -150,7 +151,7 @@ class _Dataflash(BinaryLog):
     def rest(self, at: int) -> str | None:
         if self.size - at >= TRAILER:
             return None
-        return CUT_OFF if self.data[at:].startswith(HEADER) else ""
+        return CUT_OFF if self.data[at:].startswith(SYNC) else ""
 
 
 def _kind(raw_name: bytes, characters: bytes, columns: bytes) -> Kind:

@@ -143,18 +143,18 @@ def rotor_effects(
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
+class LogStream:
     """Samples of one kind."""
 
     source: str  # Messages or topic in the log
     t_ns: TimeArray  # (n,) Stamps, ns, in the order of the log
     values: NDArray[Any]  # (n, ...) Values; see `FlightLog.streams`
 
-    def chosen(self, keep: BoolArray) -> Stream:
+    def chosen(self, keep: BoolArray) -> LogStream:
         """Return the stream of the samples with `keep` true."""
-        return Stream(self.source, self.t_ns[keep], self.values[keep])
+        return LogStream(self.source, self.t_ns[keep], self.values[keep])
 
-    def joined(self, other: Stream) -> Stream:
+    def joined(self, other: LogStream) -> LogStream:
         """Return both side by side, (n, C1 + C2); each value holds until its stream's next.
 
         Stamps closer than `JOIN_NS`, of one controller cycle, merge into the later one. Before
@@ -163,7 +163,7 @@ class Stream:
         every = np.union1d(self.t_ns, other.t_ns)
         t_ns = every[np.append(np.diff(every) > JOIN_NS, True)]
         values = np.hstack([hold(t_ns, part.t_ns, part.values) for part in (self, other)])
-        return Stream(f"{self.source} and {other.source}", t_ns, values)
+        return LogStream(f"{self.source} and {other.source}", t_ns, values)
 
 
 def rates_stream(
@@ -171,10 +171,10 @@ def rates_stream(
     t_ns: TimeArray,
     rates: FloatArray,  # (n, 3) Angular velocity, rad/s
     force: FloatArray | None,  # (n, 3) Specific force, m/s^2; None if there is none
-) -> Stream:
+) -> LogStream:
     """Return the stream of angular velocity and specific force, NaN if there is no force."""
     force = np.full(rates.shape, np.nan) if force is None else force
-    return Stream(source, t_ns, np.hstack([rates, force]))
+    return LogStream(source, t_ns, np.hstack([rates, force]))
 
 
 @dataclass
@@ -201,7 +201,7 @@ class FlightLog:
     # attitude   (n, 4) Unit quaternions x, y, z, w from body axes (FRD) to north-east-down
     # setpoint   (n, 3) Rates requested by the autopilot, rad/s, FRD
     # mode       (n,) Name of the autopilot's mode, at each change
-    streams: Mapping[str, Stream]
+    streams: Mapping[str, LogStream]
     channels: tuple[Channel, ...]  # Of the actuators; those without effect are only recorded
     findings: Findings  # Facts, assumptions and defects
     convention: str = "frd"  # Axes of the rates: ``frd`` or ``flu``

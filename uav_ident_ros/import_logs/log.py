@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError, Stream
+from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError, LogStream
 from uav_ident_ros.import_logs.stamps import plausible, rate
 from uav_ident_ros.messages.types import NS_PER_US
 
@@ -66,9 +66,9 @@ class Messages:
         with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
             return np.column_stack([self.columns[field] for field in fields]).astype(float)
 
-    def stream(self, *fields: str) -> Stream:
+    def stream(self, *fields: str) -> LogStream:
         """Return the stream of some fields, at the times of publication."""
-        return Stream(self.name, self.stamp_ns, self.values(*fields))
+        return LogStream(self.name, self.stamp_ns, self.values(*fields))
 
     def array(self, field: str) -> FloatArray:
         """Return the values of an array field, shape (k, its length)."""

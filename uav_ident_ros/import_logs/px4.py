@@ -24,7 +24,7 @@ from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
     FlightLog,
-    Stream,
+    LogStream,
     effect_of,
     effects_of_arms,
     named_once,
@@ -38,7 +38,7 @@ KNOWN = table("px4")
 MULTIROTOR, FIXED_WING = 0, 1
 """CA_AIRFRAME."""
 
-QUADROTOR = 2
+QUADROTOR_FRAME = 2
 """MAV_TYPE."""
 
 MOTOR_FUNCTION, SERVO_FUNCTION, FUNCTIONS_OF_A_KIND = 101, 201, 16
@@ -150,14 +150,14 @@ class _Px4(Import):
                 return {SETPOINTS[0]: usable[SETPOINTS[0]]}
         counts = {name: self.log.parameter(count) for name, count in ALLOCATED.items()}
         explained = {name: m for name, m in usable.items() if counts.get(name, 1.0) > 0}
-        if not any(self._functions()) and self.log.parameters.get("MAV_TYPE") != QUADROTOR:
+        if not any(self._functions()) and self.log.parameters.get("MAV_TYPE") != QUADROTOR_FRAME:
             explained.pop(OUTPUTS, None)
         streams = explained or dict(usable)
         if set(ALLOCATED) <= set(streams):  # they count as one, at the rate of the slower
             del streams[max(reversed(ALLOCATED), key=lambda name: streams[name].rate)]
         return streams
 
-    def hovers(self, commands: Stream) -> bool:
+    def hovers(self, commands: LogStream) -> bool:
         if _sets_of_a_vtol(self.log) is not None:
             return self.choice.actuators_instance == 0
         parameter = "CA_AIRFRAME" if "CA_AIRFRAME" in self.log.parameters else "MAV_TYPE"
@@ -165,7 +165,7 @@ class _Px4(Import):
 
     def _allocated(self, _: Messages) -> Actuators:
         """Read the commands of motors and servos, behind the control allocation."""
-        parts: list[Stream] = []
+        parts: list[LogStream] = []
         channels: list[Channel] = []
         for name, describe in zip(ALLOCATED, (_motors, _servos), strict=True):
             if (topic := self.log.messages(name, self.choice.actuators_instance)) is not None:
@@ -173,8 +173,8 @@ class _Px4(Import):
                 in_use = np.flatnonzero(~np.isnan(values).all(axis=0))
                 every = describe(self.log, values.shape[1])
                 channels += [every[i] for i in in_use]
-                parts.append(Stream(topic.name, topic.stamp_ns, values[:, in_use]))
-        commands = reduce(Stream.joined, parts)
+                parts.append(LogStream(topic.name, topic.stamp_ns, values[:, in_use]))
+        commands = reduce(LogStream.joined, parts)
         if not channels:
             raise self.log.refusal(
                 f": {commands.source} hold no value throughout: the motors were never on"
@@ -216,7 +216,7 @@ class _Px4(Import):
             log.findings.assumed.append(
                 f"instance {instance} of actuator_outputs are the pins {prefix}"
             )
-        elif log.parameters.get("MAV_TYPE") == QUADROTOR:
+        elif log.parameters.get("MAV_TYPE") == QUADROTOR_FRAME:
             known = {
                 function: Channel(f"motor_{function + 1 - MOTOR_FUNCTION}", effect, "")
                 for function, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), MOTOR_FUNCTION)
@@ -243,7 +243,7 @@ class _Px4(Import):
                 turned = bool(bit or log.parameter(f"{prefix}_REV{pin}"))
                 channel = channel.over_range(low, high, centre=centre, turned=turned)
             channels.append(channel)
-        return Stream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)
+        return LogStream(topic.name, topic.stamp_ns, values[:, :count]), named_once(channels)
 
     def _width(self, pin: int, end: str, usual: float) -> float:
         """Return an end of a pin's range: its own, or that of its group (v1.12) or of all pins."""

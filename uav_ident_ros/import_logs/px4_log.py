@@ -27,7 +27,7 @@ MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 FILE_HEADER, MESSAGE_HEADER, FLAGS = 16, 3, 40
 """Bytes of the file's header, of a message's header, and of the body of the flags' message."""
 
-HEADER = struct.Struct("<Hc")
+HEADER_LAYOUT = struct.Struct("<Hc")
 
 SIZES = {
     **{f"{sign}int{8 * n}_t": n for n in (1, 2, 4, 8) for sign in ("", "u")},
@@ -39,7 +39,7 @@ READ, UNREAD = frozenset("FAPIDO"), frozenset("SLCRMQ")
 """Types of messages: those in use, and unused marks, texts and values."""
 
 KEY = re.compile(rb"([a-z0-9_]+(?:\[\d+\])?) [\w-]+")
-FORMAT = re.compile(r"([\w/]+):((?:[\w/]+(?:\[\d{1,5}\])? \w+;)*)", re.ASCII)
+FORMAT_TEXT = re.compile(r"([\w/]+):((?:[\w/]+(?:\[\d{1,5}\])? \w+;)*)", re.ASCII)
 FIELD = re.compile(r"([\w/]+)(?:\[(\d+)\])? (\w+);")
 
 LARGEST = 0xFFFF
@@ -104,7 +104,7 @@ class _Ulog(BinaryLog):
         """Return the length of a message with its header, and its type."""
         if at + MESSAGE_HEADER > self.size:
             return self.size, ""
-        size, kind = HEADER.unpack_from(self.data, at)
+        size, kind = HEADER_LAYOUT.unpack_from(self.data, at)
         return MESSAGE_HEADER + size, kind.decode("latin-1")
 
     def length(self, at: int) -> int:
@@ -140,7 +140,7 @@ class _Ulog(BinaryLog):
             key = KEY.fullmatch(data, begin + 1, value) if value < end else None
             return key is not None and SIZES.get(key[1].decode(), end - value) == end - value
         if kind == "F":
-            form = FORMAT.fullmatch(data[begin:end].decode("latin-1"))
+            form = FORMAT_TEXT.fullmatch(data[begin:end].decode("latin-1"))
             return form is not None and self._formats.get(form[1], form[2]) == form[2]
         if kind == "A" and end - begin > 3:
             number, name = self._topic(begin, end)

@@ -17,7 +17,7 @@ GAP_INTERVALS, SHORTEST_GAP = 3.0, 0.02
 """Shortest gap, in median intervals and in s; both must be exceeded. Jitter stays below, and one or
 two lost samples hardly matter."""
 
-LATEST_NS = 2**31 * NS_PER_S
+BEYOND_STAMPS_NS = 2**31 * NS_PER_S
 """First time beyond the range of a ROS stamp, ns."""
 
 NEIGHBOURS = 5
@@ -38,14 +38,14 @@ def plausible(t_ns: TimeArray) -> BoolArray:
     An implausible stamp is far from the median of its neighbours, and later than those after it or
     earlier than those before it. A stamp at either end of a long gap is plausible.
     """
-    result = (t_ns >= 0) & (t_ns < LATEST_NS)
+    result = (t_ns >= 0) & (t_ns < BEYOND_STAMPS_NS)
     stamps = t_ns[result]
     if len(stamps) < NEIGHBOURS:
         return np.asarray(result)
     farthest = max(FARTHEST_NS, FARTHEST_STEPS * float(np.median(np.abs(np.diff(stamps)))))
     around = np.pad(stamps, NEIGHBOURS // 2, mode="reflect")
     lone = np.abs(stamps - np.median(windows(around, NEIGHBOURS), axis=1)) > farthest
-    near = windows(np.pad(stamps, NEIGHBOURS, constant_values=(0, LATEST_NS)), NEIGHBOURS)
+    near = windows(np.pad(stamps, NEIGHBOURS, constant_values=(0, BEYOND_STAMPS_NS)), NEIGHBOURS)
     before, after = near[: len(stamps)].max(axis=1), near[-len(stamps) :].min(axis=1)
     result[result] = ~(lone & ((stamps > after + farthest) | (stamps < before - farthest)))
     return np.asarray(result)

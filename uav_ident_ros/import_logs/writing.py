@@ -27,7 +27,7 @@ from uav_ident_ros.files.parameter_file import PARAMETER_FILE, load_parameters, 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, Stream, printable
+from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, LogStream, printable
 from uav_ident_ros.import_logs.stamps import Stretches, coverage, inside, turned_at
 from uav_ident_ros.messages.types import FRAME_IDS
 
@@ -40,7 +40,7 @@ FIRST_NS = 1
 """First stamp of a bag, ns: in ROS zero means no stamp, and the message would be lost."""
 
 
-TOPICS = {
+LOG_TOPICS = {
     "actuators": ("/actuators", JOINT_STATE),
     "rates": ("/imu/data", IMU),
     "airspeed": ("/airspeed", TWIST),
@@ -68,20 +68,20 @@ def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> Non
         streams["armed"] = _armed(log.flown, rates.t_ns)
     with whole(folder) as working:
         with BagWriter(working) as bag:
-            recorded = [name for name in TOPICS if name in streams]
+            recorded = [name for name in LOG_TOPICS if name in streams]
             for name in recorded:
                 profile = qos(500, reliable=False) if name == "rates" else qos(10)
-                bag.topic(*TOPICS[name], profile)
+                bag.topic(*LOG_TOPICS[name], profile)
             bag.merge(_messages(log, name, streams[name]) for name in recorded)
         _write_parameters(working / PARAMETER_FILE, log, values)
 
 
-def _messages(log: FlightLog, name: str, stream: Stream) -> Iterator[tuple[int, str, Any]]:
+def _messages(log: FlightLog, name: str, stream: LogStream) -> Iterator[tuple[int, str, Any]]:
     """Yield log time, topic and message; log times do not decrease, even if stamps do."""
     stamp_ns = np.maximum(stream.t_ns, FIRST_NS)
     log_ns = np.maximum.accumulate(stamp_ns).tolist()
     for recorded, t_ns, sample in zip(log_ns, stamp_ns.tolist(), stream.values, strict=True):
-        yield recorded, TOPICS[name][0], _message(log, name, t_ns, sample)
+        yield recorded, LOG_TOPICS[name][0], _message(log, name, t_ns, sample)
 
 
 def _message(log: FlightLog, name: str, t_ns: int, sample: Any) -> Any:
@@ -98,10 +98,10 @@ def _message(log: FlightLog, name: str, t_ns: int, sample: Any) -> Any:
         case "setpoint":
             return vector_stamped(t_ns, sample.tolist(), FRAME_IDS["frd"])
         case _:
-            return plain(TOPICS[name][1], sample.item())
+            return plain(LOG_TOPICS[name][1], sample.item())
 
 
-def _armed(flown: Stretches, rates_ns: TimeArray) -> Stream:
+def _armed(flown: Stretches, rates_ns: TimeArray) -> LogStream:
     """Return the armed state at every change and once a second: the type has no stamp."""
     start, end = int(rates_ns.min()), int(rates_ns.max())
     # Only seconds with rates: a damaged stamp may be years ahead.
@@ -109,7 +109,7 @@ def _armed(flown: Stretches, rates_ns: TimeArray) -> Stream:
     changes = np.array([t for stretch in flown for t in stretch], dtype=np.int64)
     t_ns = np.union1d(seconds, changes[(start <= changes) & (changes < end)])
     until = [(first, last - 1) for first, last in flown]
-    return Stream("armed", t_ns[t_ns < end], inside(t_ns[t_ns < end], until))
+    return LogStream("armed", t_ns[t_ns < end], inside(t_ns[t_ns < end], until))
 
 
 # --- the parameters for it ------------------------------------------------------------------------
@@ -175,7 +175,7 @@ def fitting(
     return values | _airspeed(log, airspeed)
 
 
-def summary(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
+def log_summary(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return the findings about a log and the description of its inputs, by heading."""
     channels = [channel for _, channel in log.used]
     inputs = []
@@ -197,7 +197,7 @@ def summary(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
 
 def _write_parameters(path: Path, log: FlightLog, values: Mapping[str, Any]) -> None:
     """Write the parameter file, with the findings as comments."""
-    titled = summary(log, values)
+    titled = log_summary(log, values)
     heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
     if log.parameters:
         named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())

@@ -5,8 +5,8 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
+from uav_ident_ros.identification import samples
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, EXCITATION, RATES, Drop
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages import types
 from uav_ident_ros.messages.types import EXCITATION_TYPE, ActuatorReader, RatesReader, Reading
@@ -23,7 +23,7 @@ class Stream:
     # Makes a reader by the settings: message to stamp (ns) and values, or a `ChannelError`
     reader: Callable[[Settings], Callable[[Any], Reading]]
     # Adds the values of a stamp (ns) to an identifier; returns the reason of a drop, or None
-    add: Callable[[OnlineIdentifier, int, Any], Drop | None]
+    add: Callable[[OnlineIdentifier, int, Any], samples.Drop | None]
     # Whether it is read only if its type is set or its topic chosen; with a single type, if the
     # topic exists
     optional: bool = False
@@ -37,23 +37,23 @@ class Stream:
 
 STREAMS = (
     Stream(
-        RATES,
+        samples.RATES_STREAM,
         "imu/data",
         "imu.type",
-        types.RATES,
+        types.RATE_ADAPTERS,
         lambda settings: RatesReader(settings.imu),
         lambda identifier, t_ns, values: identifier.add_rates(t_ns, *values),
     ),
     Stream(
-        ACTUATORS,
+        samples.ACTUATORS,
         "actuators",
         "actuators.type",
-        types.ACTUATORS,
+        types.ACTUATOR_ADAPTERS,
         lambda settings: ActuatorReader(settings.actuators),
         OnlineIdentifier.add_actuators,
     ),
     Stream(
-        AIRSPEED,
+        samples.AIRSPEED,
         "airspeed",
         "airspeed.type",
         types.AIRSPEEDS,
@@ -63,7 +63,7 @@ STREAMS = (
         any_clock=True,
     ),
     Stream(
-        ARMED,
+        samples.ARMED,
         "armed",
         "armed.type",
         types.ARMINGS,
@@ -73,7 +73,7 @@ STREAMS = (
         any_clock=True,
     ),
     Stream(
-        EXCITATION,
+        samples.EXCITATION,
         "excitation",
         "",
         (EXCITATION_TYPE,),

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Supported message types, and their conversion to plain values.
 
-A type is an entry of `RATES`, `ACTUATORS`, `AIRSPEEDS` or `ARMINGS`, which makes it a choice of the
-setting ``imu.type``, ``actuators.type``, ``airspeed.type`` or ``armed.type``.
+A type is an entry of `RATE_ADAPTERS`, `ACTUATOR_ADAPTERS`, `AIRSPEEDS` or `ARMINGS`, which makes it
+a choice of the setting ``imu.type``, ``actuators.type``, ``airspeed.type`` or ``armed.type``.
 
 The adapters use attribute access only: rclpy messages, rosbags messages and stand-ins all work.
 Only `import_type` imports ROS.
@@ -140,16 +140,16 @@ def _read_px4_sensor_combined(message: Any) -> RatesReading:
 
 _NORMALISED = "normalised, -1 to 1"
 
-RATES: dict[str, RatesAdapter] = RATE_TYPES
-RATES |= {
+RATE_ADAPTERS: dict[str, RatesAdapter] = RATE_TYPES
+RATE_ADAPTERS |= {
     "sensor_msgs/msg/Imu": RatesAdapter(_read_imu),
     "px4_msgs/msg/VehicleAngularVelocity": RatesAdapter(_read_px4_angular_velocity, frd=True),
     "px4_msgs/msg/SensorCombined": RatesAdapter(_read_px4_sensor_combined, frd=True),
 }
 """The supported types of the rates topic."""
 
-ACTUATORS: dict[str, ActuatorAdapter] = ACTUATOR_TYPES
-ACTUATORS |= {
+ACTUATOR_ADAPTERS: dict[str, ActuatorAdapter] = ACTUATOR_TYPES
+ACTUATOR_ADAPTERS |= {
     "std_msgs/msg/Float64MultiArray": ActuatorAdapter(None, ("data",)),
     "std_msgs/msg/Float32MultiArray": ActuatorAdapter(None, ("data",)),
     "sensor_msgs/msg/JointState": ActuatorAdapter(
@@ -237,7 +237,7 @@ class ActuatorReader:
     """
 
     def __init__(self, settings: ActuatorSettings) -> None:
-        self._adapter = adapter = ACTUATORS[settings.type]
+        self._adapter = adapter = ACTUATOR_ADAPTERS[settings.type]
         self.field = settings.field or adapter.fields[0]  # The array field that is read
         if self.field not in adapter.fields:
             raise MessageTypeError(
@@ -313,7 +313,7 @@ class RatesReader:
 
     def __init__(self, settings: ImuSettings) -> None:
         self._settings = settings
-        self._read = RATES[settings.type].read
+        self._read = RATE_ADAPTERS[settings.type].read
         self.frame_id: str | None = None  # Frame of the newest message; None before the first
         # Contradiction between axes and settings; empty if none
         self.fault = frame_fault(settings.convention, "", settings.type)
@@ -348,7 +348,7 @@ def frame_fault(convention: str, frame_id: str, msgtype: str) -> str:
             f"the Imu's frame_id '{frame_id}' contradicts imu.convention 'flu': set it to 'frd', "
             "or correct the frame_id"
         )
-    if RATES[msgtype].frd:
+    if RATE_ADAPTERS[msgtype].frd:
         return f"{msgtype} is in forward-right-down axes: set imu.convention to 'frd'"
     return ""
 

@@ -14,6 +14,8 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from uav_ident_ros.client import CoefficientSource, Fallback, subscribe
 from uav_ident_ros.commandline import (
     INTERRUPTED,
+    NOT_USABLE,
+    USABLE,
     USAGE_ERROR,
     OneLineParser,
     number,
@@ -30,14 +32,12 @@ OUTPUT_TYPE = "sensor_msgs/msg/JointState"
 STATUS_DEPTH = 50
 """Depth of the queue of /diagnostics, which all nodes of a robot share."""
 
-SETTLE = 3.5
+OTHERS_TIME = 3.5
 """Seconds to wait for other identifiers after the first one: a lost announcement of a Fast DDS
 participant is repeated after 3 s."""
 
-USABLE = 0
-NOT_USABLE = 1
 NOTHING_RECEIVED = 3
-"""Exit statuses of ``--once``; the view itself ends with 0."""
+"""Exit status of ``--once`` beside those of the verdict; the view itself ends with 0."""
 
 TIMEOUT = 5.0
 """Timeout of ``--once``, s: five statuses of the node, since discovery is slow."""
@@ -68,7 +68,7 @@ def find(
     """Return the full name of the only identifier, empty if none; raises `MonitorError`."""
     if not guest.spin_for(timeout, lambda: bool(identifiers(guest))):
         return ""
-    guest.spin_for(SETTLE)
+    guest.spin_for(OTHERS_TIME)
     found = identifiers(guest)
     if len(found) > 1:
         listed = "\n  ".join(found)
@@ -78,7 +78,7 @@ def find(
     return found[0] if found else ""
 
 
-def listen(guest: Guest, node: str) -> WatchedNode:
+def discover(guest: Guest, node: str) -> WatchedNode:
     """Subscribe to the topics of an identifier, by its full name."""
     watched, topic = WatchedNode(node), f"{node}/{NAMED}"
 
@@ -133,7 +133,7 @@ def once(guest: Guest, node: str | None, timeout: float) -> int:
         found = f"no identifier was found for {timeout:g} s: does one run, {domain()}?"
         print(f"monitor: {found}", file=sys.stderr)
         return NOTHING_RECEIVED
-    watched = listen(guest, node)
+    watched = discover(guest, node)
     guest.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
     if watched.newest is None and not watched.state:
         others = ", ".join(identifiers(guest))
@@ -152,7 +152,7 @@ def watch(guest: Guest, node: str | None, plain: bool) -> NoReturn:
         print("monitor: looking for an identifier (Ctrl-C ends it)", file=sys.stderr)
     while not node:
         node = find(guest, LOOK_AGAIN)
-    watched = listen(guest, node)
+    watched = discover(guest, node)
     with closing(View(plain)) as view:
         while True:
             view.show(watched)

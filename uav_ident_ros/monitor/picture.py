@@ -26,10 +26,10 @@ from uav_ident_ros.monitor.watched_node import Coefficient, WatchedNode
 COLUMN_WIDTH = 26
 """Characters of a column: name, value, sigma, t-ratio, trend."""
 
-GAP = 1
+COLUMN_GAP = 1
 """Characters between two columns."""
 
-AXES = 3
+AXIS_COLUMNS = 3
 """Number of columns side by side, if the terminal is wide enough."""
 
 SPARKS = 10
@@ -101,14 +101,14 @@ def picture(watched: WatchedNode, console: Console) -> RenderableType:
     """Return the whole view, for the size of `console`."""
     glyphs = ASCII if console.options.ascii_only else Glyphs()
     width = COLUMN_WIDTH + SPARKS
-    if console.width < AXES * (width + GAP) - GAP:
+    if console.width < AXIS_COLUMNS * (width + COLUMN_GAP) - COLUMN_GAP:
         width, glyphs = COLUMN_WIDTH, replace(glyphs, sparks="")
     rows = watched.rows()
     angles = [c for row in KINEMATIC_ROWS for c in rows.pop(row, ())]
     parts = [_row(watched, row, found, glyphs) for row, found in rows.items()]
     parts += [_kinematics(angles)] if angles else []
-    count = max(1, min(AXES, (console.width + GAP) // (width + GAP)))
-    table = Table.grid(padding=(0, GAP, 0, 0))
+    count = max(1, min(AXIS_COLUMNS, (console.width + COLUMN_GAP) // (width + COLUMN_GAP)))
+    table = Table.grid(padding=(0, COLUMN_GAP, 0, 0))
     for _ in range(count):
         table.add_column(width=width, no_wrap=True, overflow="crop")
     for first in range(0, len(parts), count):

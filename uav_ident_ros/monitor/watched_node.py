@@ -18,7 +18,7 @@ TREND_TIME = 10.0
 TREND_POINTS = 20
 """Values kept of each coefficient over that time."""
 
-SILENT_AFTER = 1.5
+STALE_AFTER = 1.5
 """Seconds without a tick after which the last one is stale: the slowest update rate is 1 Hz."""
 
 STATES_WITHOUT_DATA = ("waiting", "fault")
@@ -102,7 +102,7 @@ class WatchedNode:
     @property
     def fresh(self) -> bool:
         """Whether ticks arrive now; the first message may be a latched one, of any age."""
-        return self.ticks > 1 and self._clock() - self._arrived < SILENT_AFTER
+        return self.ticks > 1 and self._clock() - self._arrived < STALE_AFTER
 
     @property
     def usable(self) -> bool:
@@ -122,7 +122,7 @@ class WatchedNode:
         rows: dict[str, list[Coefficient]] = {row: [] for row in ROWS}
         if (new := self.newest) is None:
             return rows
-        for name, index in zip(new.names, new.structure.free, strict=True):
+        for name, index in new.structure.places.items():
             past = (*(values[index] for _, values in self._past), new.values[index])
             coefficient = Coefficient(name, new.values[index], new.sigma[index], past)
             rows.setdefault(name.partition("/")[0], []).append(coefficient)

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
+from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.structure import ROWS
 
 TICKS_KEPT = 1200
@@ -79,7 +80,7 @@ def estimate_values(estimate: Estimate, identifier: OnlineIdentifier) -> Iterato
     information, supervisor = identifier.estimator.information, identifier.supervisor
     yield "adapting", str(estimate.adapting).lower()
     yield "usable", str(estimate.usable).lower()
-    yield "tick [s]", f"{estimate.t_ns * 1e-9:.3f}"
+    yield "tick [s]", f"{estimate.t_ns * NS:.3f}"
     for row, excitation in zip(ROWS, information.excitation(), strict=True):
         yield f"excitation {row} [0..1]", f"{excitation:.3f}"
     running = identifier.running_fit

@@ -4,7 +4,7 @@
 import ctypes
 import signal
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals of Ctrl-C; of ``kill``, systemd and launch; of a closed terminal or ssh connection."""
 
 
@@ -18,8 +18,8 @@ class Ending:
 
     def __init__(self) -> None:
         self.requested = False  # Whether a signal has requested the end
-        self._before = {number: signal.getsignal(number) for number in SIGNALS}
-        for number in SIGNALS:
+        self._before = {number: signal.getsignal(number) for number in ENDING_SIGNALS}
+        for number in ENDING_SIGNALS:
             # nohup and setsid ignore SIGHUP, so that the program outlives the terminal
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._request)
@@ -40,6 +40,6 @@ class Ending:
         """
         set_handler = ctypes.pythonapi.PyOS_setsig
         set_handler.argtypes, set_handler.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
-        for number in SIGNALS:
+        for number in ENDING_SIGNALS:
             set_handler(number, int(signal.SIG_IGN))
             signal.signal(number, signal.SIG_IGN)

@@ -13,15 +13,10 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import RATES
+from uav_ident_ros.identification.samples import RATES_STREAM
 from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS, Stream
-from uav_ident_ros.messages.types import (
-    NOT_DECODABLE,
-    ChannelError,
-    RatesReader,
-    import_type,
-)
+from uav_ident_ros.messages.types import NOT_DECODABLE, ChannelError, RatesReader, import_type
 from uav_ident_ros.node.notices import Guard, Throttle, without_sources
 from uav_ident_ros.node.parameters import QOS_POLICIES
 
@@ -119,13 +114,13 @@ class Inputs:
     @property
     def rates(self) -> RatesReader:
         """Reader of the rates, with their frame."""
-        reader: RatesReader = self.all[RATES].feed.reader
+        reader: RatesReader = self.all[RATES_STREAM].feed.reader
         return reader
 
     def _put(self, own: Input, data: bytes) -> None:
         own.arrived = time.monotonic()
         # rates have stamps of their own
-        arrival_ns = 0 if own.stream.name == RATES else self._clock.now().nanoseconds
+        arrival_ns = 0 if own.stream.name == RATES_STREAM else self._clock.now().nanoseconds
         self._waiting.append((own, data, arrival_ns))
         if len(self._waiting) >= LARGEST_INBOX:
             self.empty()

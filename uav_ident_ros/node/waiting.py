@@ -115,13 +115,13 @@ SILENT_AFTER = 2.0
 DISCOVERY_TIME = 1.5
 """Seconds from the start in which the graph is incomplete."""
 
-ENOUGH = 5
+FEWEST_DROPPED = 5
 """Least number of messages, all dropped, that is reported."""
 
 LOOKS = 3
 """Checks, a second apart, over which these messages are counted."""
 
-CURES: dict[str, str] = {
+DROP_CURES: dict[str, str] = {
     Drop.NOT_FINITE: "their values are not finite numbers: look at the source",
     Drop.ZERO_STAMP: "their stamp is zero or negative: let the source stamp them",
     Drop.BEYOND_STAMP: "their stamp is beyond 2038: look at the clock of the source",
@@ -193,10 +193,10 @@ class Waiting:
         now, looks = (own.feed.received, own.feed.drops()), self._looks[own.topic]
         looks.append(now)
         received, dropped = now[0] - looks[0][0], now[1] - looks[0][1]
-        if received < ENOUGH or dropped.total() < received:
+        if received < FEWEST_DROPPED or dropped.total() < received:
             return ""
         reason = dropped.most_common(1)[0][0]
-        what = own.feed.details.get(reason) or CURES.get(reason) or reason
+        what = own.feed.details.get(reason) or DROP_CURES.get(reason) or reason
         return f"every message on '{own.topic}' is dropped: {what}"
 
     def warnings(self) -> list[str]:

@@ -5,12 +5,19 @@ import argparse
 import os
 import sys
 
-from uav_ident_ros.commandline import OneLineParser, given_path, importing, number
+from uav_ident_ros.commandline import (
+    NOT_USABLE,
+    USABLE,
+    OneLineParser,
+    given_path,
+    importing,
+    number,
+)
 
 NODE_NAME = "/identifier"
 
-USABLE, NOT_USABLE, NO_RESULT = 0, 1, 2
-"""Exit statuses."""
+NO_RESULT = 2
+"""Exit status of a bag that cannot be replayed."""
 
 DESCRIPTION = """\
 Run the identifier over recorded flights, as the node would have run, and score its predictions.

@@ -7,19 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uav_ident_ros.files.meanings import (
-    AXIS_INPUT_WORDS,
-    AXIS_WORDS,
-    INPUT_WORDS,
-    MEANINGS,
-)
+from uav_ident_ros.files.meanings import AXIS_INPUT_WORDS, AXIS_WORDS, INPUT_WORDS, MEANINGS
 from uav_ident_ros.identification.samples import ACTUATORS
 from uav_ident_ros.identification.speed import unmeasured
-from uav_ident_ros.identification.structure import CONSTANT, INPUTS, ROWS
+from uav_ident_ros.identification.structure import CONSTANT, INPUTS, MAIN_INPUTS, RATES, ROWS
 from uav_ident_ros.offline.evidence import ROW_FORCES, Evidence
-from uav_ident_ros.offline.tables import AXES
 
-MAIN_DERIVATIVES: Mapping[str, str] = {"de": "qdot/de", "dr": "rdot/dr", "da": "pdot/da"}
+MAIN_NAMES: Mapping[str, str] = {
+    name: f"{row}/{name}" for name in INPUTS for row, own in MAIN_INPUTS.items() if own == name
+}
 """Main control derivative of each surface; throttle has none."""
 
 STILL = 1e-9
@@ -57,7 +53,7 @@ FAST_LOGS = (
 )
 """Settings for fast logs of an autopilot; the tables of import_logs have them in detail."""
 
-EXCITATION = {
+EXCITED_BY = {
     True: "an autopilot's autotune does that, and ArduPilot's SystemID mode (SID_AXIS)",
     False: "doublets by hand without stabilisation do that, and PX4's autotune, not ArduPlane's",
 }
@@ -85,7 +81,7 @@ OFF_TRIM = 0.25
 """Median of an input in its standard deviations from which it is off its trim: a moment that is not
 in the model is then a quarter of the input's, as much as a verdict allows."""
 
-DAMPING = ("pdot/p", "qdot/q", "rdot/r")
+DAMPING_DERIVATIVES = ("pdot/p", "qdot/q", "rdot/r")
 
 
 class Advice(NamedTuple):
@@ -124,7 +120,7 @@ def no_excitation(e: Evidence) -> Iterator[str]:
         what = "roll, pitch or yaw input" if multirotor else "surface"
         yield (
             f"no {what} moved: their effects are unknown; check 'actuators.channels' and "
-            f"'actuators.mixing', or excite the aircraft: {EXCITATION[multirotor]}"
+            f"'actuators.mixing', or excite the aircraft: {EXCITED_BY[multirotor]}"
         )
 
 
@@ -141,7 +137,7 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
     """Yield the surfaces of the vehicle that moved too little to identify their derivatives."""
     multirotor, needed = e.settings.actuators.multirotor, e.settings.supervision.min_t_ratio
     names = AXIS_INPUT_WORDS if multirotor else INPUT_WORDS
-    for name, derivative in MAIN_DERIVATIVES.items():
+    for name, derivative in MAIN_NAMES.items():
         if not e.settings.actuators.has(name):
             continue
         word, ratio = names[name], e.t_ratio(derivative, setup=False)
@@ -153,7 +149,7 @@ def weak_excitation(e: Evidence) -> Iterator[str]:
             if answers > 0.0:
                 cure = (
                     f", since {100.0 * answers:.0f} % of its motion answers disturbances; move the "
-                    f"{word} by itself, whatever the aircraft does: {EXCITATION[multirotor]}"
+                    f"{word} by itself, whatever the aircraft does: {EXCITED_BY[multirotor]}"
                 )
             yield (
                 f"not enough {word} excitation: {derivative} is known to {ratio:.1f} sigma only "
@@ -235,7 +231,7 @@ def leans_on_force(e: Evidence) -> Iterator[str]:
     points = [
         f"{axis}: {measured - free:.0f} ({ROW_FORCES[row]})"
         for row, axis, measured, free in zip(
-            ROWS, AXES, e.fit.measured_force, e.fit.model, strict=True
+            ROWS, RATES, e.fit.measured_force, e.fit.model, strict=True
         )
         if measured - free > FEW_POINTS
     ]
@@ -253,7 +249,7 @@ def noisy_gyro(e: Evidence) -> Iterator[str]:
     """
     if 0.0 < e.imu_rate < SLOW_IMU:
         return
-    for axis, noise, spread in zip(AXES, e.gyro_noise, e.rate_spread, strict=True):
+    for axis, noise, spread in zip(RATES, e.gyro_noise, e.rate_spread, strict=True):
         if noise > LARGEST_NOISE:
             yield (
                 f"gyro noise high: {noise:.2g} rad/s on {axis}; damp the mounting, or let the "
@@ -297,7 +293,7 @@ def assumed_airspeed(e: Evidence) -> Iterator[str]:
 
 def wrong_sign(e: Evidence) -> Iterator[str]:
     """Yield the damping derivatives that are significantly positive."""
-    for name in DAMPING:
+    for name in DAMPING_DERIVATIVES:
         ratio = e.t_ratio(name)
         if ratio is not None and ratio > SIGN_SIGMAS and e.values[e.structure.index(name)] > 0.0:
             yield (
@@ -330,7 +326,7 @@ def no_better_than_holding(e: Evidence) -> Iterator[str]:
     """Yield the axes whose rate the model predicts no better than holding it."""
     explained = any(any(cause(e)) for cause in (slow_streams, gated, weak_excitation))
     look = "" if explained else ": look at the delay, the signs and the channels first"
-    for axis, model, hold in zip(AXES, e.fit.model, e.fit.hold, strict=True):
+    for axis, model, hold in zip(RATES, e.fit.model, e.fit.hold, strict=True):
         if model <= hold:
             yield (
                 f"{axis} is predicted no better ({model:.0f} %) than by holding it ({hold:.0f} %)"
@@ -340,7 +336,7 @@ def no_better_than_holding(e: Evidence) -> Iterator[str]:
 
 def collinear_groups(e: Evidence) -> Iterator[str]:
     """Yield the groups of collinear coefficients with a main control derivative."""
-    groups = [g for g in e.collinear if any(name in MAIN_DERIVATIVES.values() for name in g)]
+    groups = [g for g in e.collinear if any(name in MAIN_NAMES.values() for name in g)]
     if groups:
         listed = "; ".join(" and ".join(group) for group in groups)
         yield (

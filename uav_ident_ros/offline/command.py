@@ -12,29 +12,13 @@ from pathlib import Path
 from uav_ident_ros.bags.reading import STORAGE_SUFFIXES, BagError
 from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import end_as_on_ctrl_c, reader_has_gone
+from uav_ident_ros.identification.structure import RATES
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import find_bags, names_of
 from uav_ident_ros.offline.fleet import arrow, rows_of, write_flights
-from uav_ident_ros.offline.job import (
-    VERDICTS,
-    Job,
-    Outcome,
-    parameters_beside,
-    replay,
-    reserved,
-)
+from uav_ident_ros.offline.job import VERDICTS, Job, Outcome, parameters_beside, replay, reserved
 from uav_ident_ros.offline.parallel import replay_all
-from uav_ident_ros.offline.tables import (
-    AXES,
-    NONE,
-    Cell,
-    Number,
-    Row,
-    Table,
-    Words,
-    columns,
-    write_table,
-)
+from uav_ident_ros.offline.tables import NONE, Cell, Number, Row, Table, Words, columns, write_table
 
 WORST_FIT = -100.0
 """Lower limit of an axis in the mean fit, percent: one that diverges must not hide the others."""
@@ -42,7 +26,7 @@ WORST_FIT = -100.0
 LOWEST_SHOWN = -1000.0
 """Lowest fit shown as a number, percent."""
 
-HEAD = tuple(f"fit {axis}" for axis in AXES)
+HEAD = tuple(f"fit {axis}" for axis in RATES)
 
 
 def percent(value: float | None) -> Cell:

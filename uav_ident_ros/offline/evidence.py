@@ -87,7 +87,7 @@ class Evidence:
         return abs(float(self.values[index])) / spread if spread > 0.0 else None
 
 
-def measure(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
+def gather(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Return the evidence of a replay with at least one estimate."""
     identifier = run.identifier
     parts = time_bases(run.stretches())  # a part begins at each gap of the recording

@@ -23,9 +23,9 @@ import numpy as np
 import uav_ident_ros
 from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import whole
+from uav_ident_ros.commandline import USABLE
 from uav_ident_ros.identification.estimate import CoefficientSet
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
-from uav_ident_ros.offline import USABLE
 from uav_ident_ros.offline.job import VERDICTS, Outcome, optional
 from uav_ident_ros.offline.tables import Number, Row, Table, duration_of
 
@@ -182,7 +182,7 @@ def is_clear(values: FloatArray, sigmas: FloatArray) -> bool:
 
 
 @dataclass(frozen=True)
-class Finding:
+class FleetFinding:
     """A change of a coefficient."""
 
     coefficient: str  # Name of the coefficient
@@ -215,10 +215,10 @@ def standard(deviation: float, freedom: int) -> float:
 
 def changes(
     coefficient: str, flights: Sequence[str], values: FloatArray, sigmas: FloatArray
-) -> list[Finding]:
+) -> list[FleetFinding]:
     """Return the changes of a coefficient; (k,) each, in the order of the flights."""
     kept: list[int] = []
-    found: list[Finding] = []
+    found: list[FleetFinding] = []
     for k in range(len(values)):
         kept.append(k)
         begins = range(max(BASELINE, len(kept) - RECENT), len(kept))
@@ -233,7 +233,7 @@ def changes(
             recent = [k - 1, k]
         then, now = (pool(values[which], sigmas[which]).value for which in (before, recent))
         lasting, since = len(recent) > 1, flights[recent[0]]
-        found.append(Finding(coefficient, since, flights[k], then, now, lasting))
+        found.append(FleetFinding(coefficient, since, flights[k], then, now, lasting))
         # an outlier is left out; a lasting change begins a new baseline
         kept = recent if lasting else kept[:-1]
     return found
@@ -249,7 +249,7 @@ def _deviation(values: FloatArray, sigmas: FloatArray, before: list[int], now: l
 
 
 @dataclass(frozen=True)
-class Aircraft:
+class FlownAircraft:
     """An aircraft and its flights."""
 
     # name, structure: The aircraft, and the structure of its models
@@ -261,7 +261,7 @@ class Aircraft:
     values: Mapping[str, FloatArray]
     sigmas: Mapping[str, FloatArray]
     pooled: Mapping[str, Pooled]  # Coefficients pooled since they last changed
-    findings: tuple[Finding, ...]  # Changes and outliers
+    findings: tuple[FleetFinding, ...]  # Changes and outliers
     unusable: tuple[tuple[str, str], ...]  # Flights without a usable model, and the reasons
 
     @property
@@ -294,7 +294,7 @@ class Aircraft:
         return CoefficientSet(self.structure, values, sigma)
 
 
-def fleet_of(rows: Iterable[FlightRow]) -> list[Aircraft]:
+def fleet_of(rows: Iterable[FlightRow]) -> list[FlownAircraft]:
     """Return every aircraft of a table of flights, by name and structure.
 
     An aircraft whose models have several structures occurs once for each.
@@ -328,7 +328,7 @@ def _judged(
     structure: str,
     flights: Sequence[Sequence[FlightRow]],  # The usable ones, in the order of their time
     unusable: tuple[tuple[str, str], ...],
-) -> Aircraft:
+) -> FlownAircraft:
     """Pool the flights of an aircraft, and find the changes."""
     names = tuple(rows[0].flight for rows in flights)
     values: dict[str, FloatArray] = {}
@@ -338,7 +338,7 @@ def _judged(
             for kept, number in ((values, row.value), (sigmas, row.sigma)):
                 kept.setdefault(row.coefficient, np.full(len(flights), np.nan))[k] = number
     pooled: dict[str, Pooled] = {}
-    findings: list[Finding] = []
+    findings: list[FleetFinding] = []
     for coefficient in values:
         known = np.flatnonzero(np.isfinite(values[coefficient]))
         value, sigma = values[coefficient][known], sigmas[coefficient][known]
@@ -349,4 +349,4 @@ def _judged(
         single = {f.since for f in new if not f.lasting}
         chosen = [k for k in range(begin, len(given)) if given[k] not in single]
         pooled[coefficient] = pool(value[chosen], sigma[chosen])
-    return Aircraft(name, structure, names, values, sigmas, pooled, tuple(findings), unusable)
+    return FlownAircraft(name, structure, names, values, sigmas, pooled, tuple(findings), unusable)

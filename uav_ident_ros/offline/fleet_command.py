@@ -12,7 +12,7 @@ from uav_ident_ros.bags.writing import BagWriteError
 from uav_ident_ros.commandline import OneLineParser, given_path
 from uav_ident_ros.files.coefficients_file import CoefficientsFileError, save_coefficients
 from uav_ident_ros.offline import NO_RESULT
-from uav_ident_ros.offline.fleet import Aircraft, fleet_of, read_flights
+from uav_ident_ros.offline.fleet import FlownAircraft, fleet_of, read_flights
 from uav_ident_ros.offline.job import optional
 from uav_ident_ros.offline.tables import columns
 
@@ -68,7 +68,7 @@ def main(args: list[str] | None = None) -> int:
     return int(any(aircraft.findings for aircraft in fleet))
 
 
-def write_fleet(folder: Path, fleet: Sequence[Aircraft]) -> list[Path]:
+def write_fleet(folder: Path, fleet: Sequence[FlownAircraft]) -> list[Path]:
     """Write the page and the pooled coefficients; return the files."""
     files = [folder / "fleet.html"]
     optional("uav_ident_ros.report.fleet_page").write_fleet_page(files[0], fleet)
@@ -82,7 +82,7 @@ def write_fleet(folder: Path, fleet: Sequence[Aircraft]) -> list[Path]:
     return files
 
 
-def describe(aircraft: Aircraft) -> Iterator[str]:
+def describe(aircraft: FlownAircraft) -> Iterator[str]:
     """Yield the lines on an aircraft: counts, table, changes, unusable flights."""
     count = len(aircraft.flights)
     yield f"{aircraft.name}: {count} usable flights, {len(aircraft.unusable)} others"

@@ -12,7 +12,7 @@ from uav_ident_ros.messages.types import EXCITATION_TYPE
 
 
 @dataclass(frozen=True)
-class Inputs:
+class BagInputs:
     """Topics of a bag to read, and the settings with their types."""
 
     streams: Mapping[str, str]  # Topic of every stream that is read, by the stream's name
@@ -33,7 +33,7 @@ def choose_inputs(
     # the type is set, ``/airspeed`` and ``/armed``, else the only topic of that type. For
     # excitation ``/excitation``, else the only topic whose name ends so
     requested: Mapping[str, str] | None = None,
-) -> Inputs:
+) -> BagInputs:
     """Find the input topics of a bag.
 
     Raises
@@ -56,7 +56,7 @@ def choose_inputs(
             topics[stream.name] = _choose(bag, stream, topic, wanted)
             values[stream.setting] = bag.type_of(topics[stream.name])
     read = {name: topic for name, topic in topics.items() if topic}
-    return Inputs(read, Settings.from_values(values))
+    return BagInputs(read, Settings.from_values(values))
 
 
 def _find_injected(bag: Bag) -> str:

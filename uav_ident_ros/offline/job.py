@@ -17,7 +17,7 @@ from typing import Any
 
 from uav_ident_ros.bags.reading import Bag, BagError
 from uav_ident_ros.bags.writing import BagWriteError, write_file
-from uav_ident_ros.commandline import missing
+from uav_ident_ros.commandline import NOT_USABLE, USABLE, missing
 from uav_ident_ros.files.coefficients_file import (
     CoefficientsFileError,
     initial_coefficients,
@@ -25,14 +25,15 @@ from uav_ident_ros.files.coefficients_file import (
 )
 from uav_ident_ros.files.parameter_file import PARAMETER_FILE, ParameterFile, ParameterFileError
 from uav_ident_ros.identification.settings import SettingsError
+from uav_ident_ros.identification.structure import RATES
 from uav_ident_ros.messages.types import MessageTypeError
-from uav_ident_ros.offline import NO_RESULT, NODE_NAME, NOT_USABLE, USABLE
-from uav_ident_ros.offline.evidence import FIT_WINDOWS, measure
+from uav_ident_ros.offline import NO_RESULT, NODE_NAME
+from uav_ident_ros.offline.evidence import FIT_WINDOWS, gather
 from uav_ident_ros.offline.find import RESULT_BAG, RESULT_FILE
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.offline.summary import Replayed, notes_on
-from uav_ident_ros.offline.tables import AXES, write_table
+from uav_ident_ros.offline.tables import write_table
 from uav_ident_ros.offline.ticks import check_place, write_estimates
 
 
@@ -87,7 +88,7 @@ def reserved(folder: Path) -> Iterator[None]:
 # --- the job --------------------------------------------------------------------------------------
 
 
-REFUSALS = (
+REPLAY_REFUSALS = (
     BagError,
     BagWriteError,
     CoefficientsFileError,
@@ -157,7 +158,7 @@ class Outcome:
     def fit(self, kind: str = "model") -> Mapping[str, float | None]:
         """1-second fit of p, q, r over the last 40 %, percent, of the ``model`` or of ``hold``."""
         if not self.summary:
-            return dict.fromkeys(AXES)
+            return dict.fromkeys(RATES)
         fit: Mapping[str, float | None] = self.summary["prediction_fit"][FIT_WINDOWS][kind]
         return fit
 
@@ -168,7 +169,7 @@ def replay(
 ) -> Outcome:
     """Do a job: run the identifier on the bag and write the results.
 
-    `REFUSALS` are not raised: bad input gives an outcome without a result.
+    `REPLAY_REFUSALS` are not raised: bad input gives an outcome without a result.
     """
     warnings: list[str] = []
     try:
@@ -178,20 +179,20 @@ def replay(
         report = optional("uav_ident_ros.report.page").write_report if job.report else None
         run, notes = _run(job, shown, warnings)
         fits = run.score()
-        replayed = Replayed(job.name, job.bag, run, fits, measure(run, fits), notes)
+        replayed = Replayed(job.name, job.bag, run, fits, gather(run, fits), notes)
         write_results(job.folder, replayed)
         if draw:
             draw(job.folder / "replay.png", replayed)
         if report:
             report(job.folder / "report.html", replayed)
-    except REFUSALS as error:
+    except REPLAY_REFUSALS as error:
         return Outcome(job, NO_RESULT, (*warnings, str(error)))
     status = NOT_USABLE if replayed.doubt else USABLE
     return Outcome(job, status, tuple(warnings), replayed.summary)
 
 
 def write_results(folder: Path, replayed: Replayed) -> None:
-    """Write summary, table, bag of estimates and coefficients; raises some of `REFUSALS`."""
+    """Write summary, table, bag of estimates and coefficients; raises some of `REPLAY_REFUSALS`."""
     run, summary = replayed.run, json.dumps(replayed.summary, indent=2, allow_nan=False)
     write_file(folder / RESULT_FILE, f"{summary}\n")
     write_file(folder / "table.txt", f"{write_table(replayed.summary)}\n")
@@ -213,7 +214,7 @@ def _run(job: Job, shown: bool, warnings: list[str]) -> tuple[OfflineRun, tuple[
             warnings += [f"implausible: {found.text}" for found in noted]
             if not run.estimates:
                 raise BagError(f"bag '{job.bag}': no tick came due: {_no_tick_reason(run)}")
-        except REFUSALS:
+        except REPLAY_REFUSALS:
             warnings += bag.damage  # a possible cause
             raise
         unread = None if job.params_files else parameters_beside(job.bag)

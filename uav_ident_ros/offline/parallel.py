@@ -24,7 +24,7 @@ from uav_ident_ros.bags.reading import BagError
 from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.offline import NO_RESULT
 from uav_ident_ros.offline.find import RESULT_FILE, bag_files, name_size_hash
-from uav_ident_ros.offline.job import REFUSALS, Job, Outcome, optional, replay, reserved
+from uav_ident_ros.offline.job import REPLAY_REFUSALS, Job, Outcome, optional, replay, reserved
 from uav_ident_ros.offline.run import Bar
 
 DONE_FILE = "replayed.json"
@@ -43,8 +43,9 @@ Outcomes = Iterator[tuple[Job, Outcome | None]]
 def replay_all(
     jobs: Sequence[Job],  # The jobs; their folders must differ
     workers: int,  # Number of processes on this machine
-    # Address of a Dask scheduler whose workers run the jobs instead; they need the same paths
-    scheduler: str = "",
+    # Address of a Dask scheduler whose workers run the jobs instead, if not empty; they need the
+    # same paths
+    scheduler: str,
 ) -> list[Outcome]:
     """Run jobs in parallel, outcomes in their order; raises `BagError` without the scheduler."""
     outcomes: dict[Path, Outcome] = {}
@@ -121,7 +122,7 @@ def work(job: Job) -> Outcome:
     try:
         try:
             identity = identity_of(job)
-        except REFUSALS:
+        except REPLAY_REFUSALS:
             return replay(job)  # its outcome has the problem
         with reserved(job.folder):
             outcome = None if job.again else _earlier_outcome(job, identity)
@@ -131,7 +132,7 @@ def work(job: Job) -> Outcome:
                 keys = ("identity", "status", "warnings")
                 write_file(done, json.dumps({key: getattr(outcome, key) for key in keys}) + "\n")
             return outcome
-    except REFUSALS as error:
+    except REPLAY_REFUSALS as error:
         return Outcome(job, NO_RESULT, (str(error),))
     except Exception:
         # A fault of this program must not prevent the replay of the other bags.
@@ -155,7 +156,7 @@ def _earlier_outcome(job: Job, identity: str) -> Outcome | None:
 
 
 def identity_of(job: Job) -> str:
-    """Return the hashes of a job's bag and settings, ``BAG:SETTINGS``; raises `REFUSALS`."""
+    """Return the hashes of a job's bag and settings, ``BAG:SETTINGS``; raises `REPLAY_REFUSALS`."""
     values = job.parameters
     initial = values.get("initial_coefficients_file")
     settings = {

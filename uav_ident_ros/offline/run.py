@@ -32,7 +32,7 @@ from uav_ident_ros.identification.prediction import (
     score_windows,
     window_errors,
 )
-from uav_ident_ros.identification.samples import ACTUATORS, NS_PER_S, RATES, TimeArray
+from uav_ident_ros.identification.samples import ACTUATORS, NS_PER_S, RATES_STREAM, TimeArray
 from uav_ident_ros.identification.sampling import Block, Sampler
 from uav_ident_ros.identification.scales import LOOK_TIME
 from uav_ident_ros.identification.structure import FloatArray, Structure
@@ -40,10 +40,10 @@ from uav_ident_ros.identification.supervision import State
 from uav_ident_ros.messages.feed import Feed
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.messages.types import NOT_DECODABLE, ChannelError
-from uav_ident_ros.offline.inputs import Inputs, choose_inputs
+from uav_ident_ros.offline.inputs import BagInputs, choose_inputs
 from uav_ident_ros.offline.ticks import Ticks
 
-BLOCK = 8192
+PORTION = 8192
 """Imu samples conditioned at a time: a minute or less, which takes some MB."""
 
 PIECE = 4096
@@ -141,7 +141,7 @@ class OfflineRun:
 
     def __init__(
         self,
-        inputs: Inputs,  # Topics and settings
+        inputs: BagInputs,  # Topics and settings
         initial: CoefficientSet | None = None,  # Initial coefficients
         **parts: Any,  # User-defined parts: `estimator`, `gates` of `OnlineIdentifier`
     ) -> None:
@@ -183,7 +183,7 @@ class OfflineRun:
 
     def _take(self, feed: Feed, message: Message) -> None:
         taken = feed.take(message.data, message.log_ns)
-        if feed.stream.name == RATES:
+        if feed.stream.name == RATES_STREAM:
             if self.frame_id is not None:
                 self.frame_ids.add(self.frame_id)
             if taken is not None:
@@ -218,13 +218,13 @@ class OfflineRun:
     @property
     def frame_id(self) -> str | None:
         """Newest frame of the rates."""
-        frame_id: str | None = self._feeds[RATES].reader.frame_id
+        frame_id: str | None = self._feeds[RATES_STREAM].reader.frame_id
         return frame_id
 
     @property
     def fault(self) -> str:
         """Contradiction of the messages to the settings; empty if there is none."""
-        rates = self._feeds[RATES]
+        rates = self._feeds[RATES_STREAM]
         return (str(rates.reader.fault) if rates.received else "") or self.identifier.intake.fault
 
     def refusals(self, stream: str) -> Refusals:
@@ -287,7 +287,7 @@ class OfflineRun:
             )  # fmt: skip
 
     def blocks(self, part: Stretch) -> Iterator[Block]:
-        """Yield the signals of a stretch on a uniform grid, in blocks of `BLOCK` samples at most.
+        """Yield the signals of a stretch on a uniform grid, in blocks of at most `PORTION`.
 
         They are conditioned as in flight, with the trim and the delay of the stretch.
         """
@@ -298,8 +298,8 @@ class OfflineRun:
         sampler.input_map = self.identifier.sampler.input_map
         sampler.raw_inputs.t, sampler.raw_inputs.v = self._actuators.of_era(part.era)
         t_ns, values = self._rates.of_era(part.era)
-        for first in range(0, len(t_ns), BLOCK):
-            new = slice(first, first + BLOCK)
+        for first in range(0, len(t_ns), PORTION):
+            new = slice(first, first + PORTION)
             sampler.rates.t = np.concatenate([sampler.rates.t, t_ns[new]])
             sampler.rates.v = np.concatenate([sampler.rates.v, values[new]])
             yield from sampler.blocks()

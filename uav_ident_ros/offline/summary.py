@@ -18,14 +18,13 @@ from uav_ident_ros.identification.delay import DelayEstimate
 from uav_ident_ros.identification.linearisation import Mode, level_modes
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.samples import NS
-from uav_ident_ros.identification.structure import ROWS, FloatArray
+from uav_ident_ros.identification.structure import RATES, ROWS, FloatArray
 from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
 from uav_ident_ros.offline.inputs import candidates
 from uav_ident_ros.offline.run import OfflineRun, time_bases
-from uav_ident_ros.offline.tables import AXES
-from uav_ident_ros.report.flight import Flight
+from uav_ident_ros.report.flight import ReplayedFlight
 
 MISSING_TIME = 1.0
 """Time without actuators at the beginning or the end that is reported, s."""
@@ -114,15 +113,15 @@ class Replayed:
         judged, score = self.run.judged, self.fits[FIT_WINDOWS]
         if not judged.usable:
             return judged.reason or "the verdict of the last tick that learned"
-        worse = [axis for axis, lost in zip(AXES, score.model < score.hold, strict=True) if lost]
+        worse = [axis for axis, lost in zip(RATES, score.model < score.hold, strict=True) if lost]
         if worse:
             return f"over the last part of the flight {', '.join(worse)} loses to holding the rate"
         return ""
 
     @cached_property
-    def flight(self) -> Flight:
+    def flight(self) -> ReplayedFlight:
         """The flight on one clock, for charts."""
-        return Flight(self.run)
+        return ReplayedFlight(self.run)
 
     @cached_property
     def modes(self) -> list[Mode]:
@@ -213,7 +212,7 @@ def _json(value: Any) -> Any:
 
 def _fit(fit: PredictionFit) -> dict[str, Any]:
     def by_axis(values: FloatArray) -> dict[str, float]:
-        return dict(zip(AXES, values, strict=True))
+        return dict(zip(RATES, values, strict=True))
 
     return {
         "unit": "percent",

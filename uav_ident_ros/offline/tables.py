@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from uav_ident_ros.commandline import LINE_LENGTH
 from uav_ident_ros.files.meanings import MEANINGS
 from uav_ident_ros.identification.samples import NS
-
-AXES = ("p", "q", "r")
+from uav_ident_ros.identification.structure import RATES
 
 KNOWN_FROM = 3.0
 """t-ratio from which a coefficient counts as known."""
@@ -133,7 +133,7 @@ def fit_tables(summary: Mapping[str, Any]) -> Iterator[Table]:
         # of the shortest horizon: the flight covers fewer windows of the others
         counted = f"{fit['windows']} windows of {next(iter(fit['free']))}"
         count = counted if fit["windows"] else "no window to score"
-        yield Table(f"{FIT_CAPTIONS[windows]}, {count}", ("fit [%]", *AXES), rows)
+        yield Table(f"{FIT_CAPTIONS[windows]}, {count}", ("fit [%]", *RATES), rows)
 
 
 def fit_row(name: str, values: Iterable[float | None]) -> Row:
@@ -150,10 +150,6 @@ def modes_table(summary: Mapping[str, Any]) -> Table:
     ]
     head = ("mode", "frequency [rad/s]", "damping ratio", "time constant [s]")
     return Table("Modes in level flight", head, rows)
-
-
-WIDTH = 100
-"""Length of the longest line, characters."""
 
 
 def write_table(summary: Mapping[str, Any]) -> str:
@@ -211,4 +207,4 @@ def _verdict(summary: Mapping[str, Any]) -> Iterator[str]:
     remarks = [("note", text) for text in summary["notes"]]
     remarks += [("advice", advice["text"]) for advice in summary["advice"]]
     for word, text in remarks:
-        yield textwrap.fill(f"{word}: {text}", WIDTH, subsequent_indent="  ")
+        yield textwrap.fill(f"{word}: {text}", LINE_LENGTH, subsequent_indent="  ")

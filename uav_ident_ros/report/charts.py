@@ -9,10 +9,9 @@ from bokeh.models import ColumnDataSource, Span
 
 from uav_ident_ros.files.meanings import AXIS_WORDS
 from uav_ident_ros.identification.prediction import LAST_PART
-from uav_ident_ros.identification.structure import INPUTS, ROWS, SPECIFIC_FORCES
+from uav_ident_ros.identification.structure import INPUTS, RATES, ROWS, SPECIFIC_FORCES
 from uav_ident_ros.offline.evidence import reason_of
-from uav_ident_ros.offline.tables import AXES
-from uav_ident_ros.report.flight import Flight, Predictions
+from uav_ident_ros.report.flight import Predictions, ReplayedFlight
 from uav_ident_ros.report.style import COLORS
 from uav_ident_ros.report.timeline import Chart, Timeline, columns, hover, value_range
 
@@ -51,7 +50,7 @@ MOST_REASONS = 6
 """Number of reasons not to learn with a row of their own, the longest first."""
 
 UNITS = {
-    **dict.fromkeys(AXES, "rad/s"),
+    **dict.fromkeys(RATES, "rad/s"),
     **dict.fromkeys(SPECIFIC_FORCES, "m/s²"),
     **dict.fromkeys(("alpha", "beta", "roll", "pitch"), "rad"),
     "airspeed": "m/s",
@@ -59,10 +58,10 @@ UNITS = {
 """Units of signals; an input's is that of its channels."""
 
 
-def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[Chart]:
+def rate_charts(flight: ReplayedFlight, line: Timeline, tick: Predictions) -> Iterator[Chart]:
     """Yield the charts of rates with predictions, and of residuals, for each axis."""
     second = flight.ahead
-    for k, (axis, word) in enumerate(zip(AXES, AXIS_WORDS.values(), strict=True)):
+    for k, (axis, word) in enumerate(zip(RATES, AXIS_WORDS.values(), strict=True)):
         measured = flight.rates[:, k]
         limit = RATE_HEADROOM * max(float(np.abs(measured).max(initial=0.0)), SMALLEST_RANGE)
         chart = line.figure(f"{axis} [rad/s]", 220, y_range=(-limit, limit))
@@ -85,14 +84,14 @@ def rate_charts(flight: Flight, line: Timeline, tick: Predictions) -> Iterator[C
         yield Chart(f"residual-{axis}", f"Residual of {axis}", chart, legend=legend)
 
 
-def _reach(flight: Flight, prediction: Predictions, axis: int) -> float:
+def _reach(flight: ReplayedFlight, prediction: Predictions, axis: int) -> float:
     """Return the largest residual of an axis in the last part of the flight, without outliers."""
     settled = prediction.t >= flight.span[1] * (1.0 - LAST_PART)
     residuals = np.abs(prediction.residual[settled, axis])
     return float(np.percentile(residuals, RESIDUAL_SHARE)) if len(residuals) else 0.0
 
 
-def signal_charts(flight: Flight, line: Timeline) -> Iterator[Chart]:
+def signal_charts(flight: ReplayedFlight, line: Timeline) -> Iterator[Chart]:
     """Yield the charts of inputs, specific forces and published states."""
     groups = (
         ("input", flight.t, dict(zip(INPUTS, flight.u.T, strict=True)), "tick"),
@@ -112,13 +111,13 @@ def signal_charts(flight: Flight, line: Timeline) -> Iterator[Chart]:
 
 
 def coefficient_charts(
-    flight: Flight, line: Timeline, truth: Mapping[str, float]
+    flight: ReplayedFlight, line: Timeline, truth: Mapping[str, float]
 ) -> Iterator[Chart]:
     """Yield the charts of all coefficients, with a band of one sigma and any true value."""
     kept = np.linspace(0, len(flight.tick_t) - 1, COEFFICIENT_POINTS).round().astype(int)
     kept = np.unique(kept)
     structure, t = flight.structure, flight.tick_t[kept]
-    for name, index in zip(structure.names, structure.free, strict=True):
+    for name, index in structure.places.items():
         value, sigma = (history[kept] for history in flight.estimates.history(index))
         low, high = value - sigma, value + sigma
         true = [truth[name]] * 2 if name in truth else []
@@ -142,7 +141,7 @@ def coefficient_charts(
 # -- times of learning -------------------------------------------------------------------------
 
 
-def state_chart(flight: Flight, line: Timeline, reasons: Iterable[str]) -> Chart:
+def state_chart(flight: ReplayedFlight, line: Timeline, reasons: Iterable[str]) -> Chart:
     """Return the chart of the state, the verdicts and the main reasons not to learn."""
     rows = {
         "state": [estimate.state for estimate in flight.estimates],

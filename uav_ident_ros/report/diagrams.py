@@ -11,13 +11,12 @@ from bokeh.palettes import Blues256
 
 from uav_ident_ros.identification.linearisation import Mode
 from uav_ident_ros.identification.prediction import LAST_PART
-from uav_ident_ros.identification.structure import INPUTS, SPECIFIC_FORCES, FloatArray
-from uav_ident_ros.offline.tables import AXES
-from uav_ident_ros.report.flight import Flight, Predictions
+from uav_ident_ros.identification.structure import INPUTS, RATES, SPECIFIC_FORCES, FloatArray
+from uav_ident_ros.report.flight import Predictions, ReplayedFlight
 from uav_ident_ros.report.style import COLORS, DASHES, SERIES
 from uav_ident_ros.report.timeline import Chart, columns, hover, plain_figure, value_range
 
-SIGNALS = (*INPUTS, *AXES, *SPECIFIC_FORCES)
+FLIGHT_SIGNALS = (*INPUTS, *RATES, *SPECIFIC_FORCES)
 """Signals of a flight, in the order of `signals`."""
 
 SEGMENT_TIME = 20.0
@@ -43,7 +42,7 @@ MOST_SAMPLES = 200_000
 """Most samples of a distribution, 17 minutes at 200 Hz; more are thinned evenly."""
 
 
-def signals(flight: Flight) -> FloatArray:
+def signals(flight: ReplayedFlight) -> FloatArray:
     """Return inputs, rates and specific forces at gyro samples, shape (N, 9)."""
     every = slice(None, None, -(-len(flight.t) // MOST_SAMPLES))
     return np.concatenate([flight.u[every], flight.rates[every], flight.force[every]], axis=1)
@@ -118,7 +117,7 @@ def _lines(chart: Any, x: FloatArray, lines: dict[str, FloatArray], unit: str) -
         chart.legend.padding = chart.legend.margin = 2
 
 
-def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
+def whiteness_chart(flight: ReplayedFlight, tick: Predictions) -> Chart | None:
     """Return the autocorrelation of the residuals one tick ahead; None if there are too few."""
     residual = tick.residual[tick.t >= flight.span[1] * (1.0 - LAST_PART)]
     lags = round(LONGEST_LAG / tick.horizon)
@@ -130,7 +129,7 @@ def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
     _lines(
         chart,
         tick.horizon * np.arange(1, lags + 1),
-        dict(zip(AXES, found.T, strict=True)),
+        dict(zip(RATES, found.T, strict=True)),
         "lag [s]",
     )
     bound = NORMAL_95 / math.sqrt(len(residual))
@@ -146,7 +145,7 @@ def whiteness_chart(flight: Flight, tick: Predictions) -> Chart | None:
     )
 
 
-def spectrum_charts(flight: Flight) -> Iterator[Chart]:
+def spectrum_charts(flight: ReplayedFlight) -> Iterator[Chart]:
     """Yield the power densities of inputs and rates; none for less than two segments.
 
     They are those of the longest time base, by Welch's method.
@@ -160,7 +159,7 @@ def spectrum_charts(flight: Flight) -> Iterator[Chart]:
     frequency = np.fft.rfftfreq(segment, 1.0 / SAMPLE_RATE)
     within = (frequency > 0.0) & (frequency <= HIGHEST_FREQUENCY)
     cutoff = flight.settings.filter.cutoff / (2.0 * math.pi)
-    groups = (("inputs", INPUTS, flight.u), ("rates", AXES, flight.rates))
+    groups = (("inputs", INPUTS, flight.u), ("rates", RATES, flight.rates))
     for name, labels, values in groups:
         resampled = [np.interp(even, flight.t, column) for column in values.T]
         density = np.stack([welch(column, segment) for column in resampled], axis=1)
@@ -185,9 +184,9 @@ def spectrum_charts(flight: Flight) -> Iterator[Chart]:
         yield Chart(f"spectra-{name}", f"Spectra of the {name}", chart)
 
 
-def coverage_charts(flight: Flight) -> Iterator[Chart]:
+def coverage_charts(flight: ReplayedFlight) -> Iterator[Chart]:
     """Yield the two-dimensional histograms of pairs of signals."""
-    values = dict(zip(SIGNALS, signals(flight).T, strict=True))
+    values = dict(zip(FLIGHT_SIGNALS, signals(flight).T, strict=True))
     for x, y in PAIRS:
         spans = [_span(values[x]), _span(values[y])]
         count, _, _ = np.histogram2d(values[x], values[y], bins=CELLS, range=spans)
@@ -260,7 +259,7 @@ def delay_chart(
     top = min(1.05 * float(rows.max()), LARGEST_RISE)
     unit = "prediction error above its least [%]"
     chart = plain_figure(230, "delay [ms]", unit, y_range=(0.0, top))
-    lines = {**dict(zip(AXES, rows.T, strict=True)), "all": together}
+    lines = {**dict(zip(RATES, rows.T, strict=True)), "all": together}
     _lines(chart, 1e3 * delays, lines, "delay [ms]")
     chart.add_layout(
         Span(dimension="height", location=1e3 * in_use, line_color=COLORS["ahead"], line_width=2)

@@ -8,7 +8,7 @@ import numpy as np
 from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 
 from uav_ident_ros.bags.writing import write_file
-from uav_ident_ros.offline.fleet import Aircraft
+from uav_ident_ros.offline.fleet import FlownAircraft
 from uav_ident_ros.offline.tables import Row, Table, Words
 from uav_ident_ros.report.page import Section, render
 from uav_ident_ros.report.style import COLORS
@@ -18,7 +18,7 @@ MOST_CHARTS = 24
 """Most charts of an aircraft, control derivatives first."""
 
 
-def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
+def write_fleet_page(path: Path, fleet: Sequence[FlownAircraft]) -> None:
     """Write the page; raises `BagWriteError` if the file cannot be written."""
     sections = [_section(k, aircraft) for k, aircraft in enumerate(fleet)]
     findings = [f"{a.name}: {finding.text}" for a in fleet for finding in a.findings]
@@ -38,7 +38,7 @@ def write_fleet_page(path: Path, fleet: Sequence[Aircraft]) -> None:
     write_file(path, page)
 
 
-def _section(k: int, aircraft: Aircraft) -> Section:
+def _section(k: int, aircraft: FlownAircraft) -> Section:
     tables = [aircraft.table] if aircraft.pooled else []
     others = [Row(flight, [Words(why)]) for flight, why in aircraft.unusable]
     if others:
@@ -53,7 +53,7 @@ def _section(k: int, aircraft: Aircraft) -> Section:
     return Section(f"aircraft-{k}", aircraft.name or "no name", [text], tables, charts)
 
 
-def _charts(k: int, aircraft: Aircraft) -> Iterator[Chart]:
+def _charts(k: int, aircraft: FlownAircraft) -> Iterator[Chart]:
     for name in aircraft.main[:MOST_CHARTS]:
         value, sigma = aircraft.values[name], aircraft.sigmas[name]
         pooled = aircraft.pooled[name]

@@ -10,21 +10,17 @@ from operator import attrgetter
 
 import numpy as np
 
-from uav_ident_ros.identification.prediction import (
-    HORIZONS,
-    InputSignal,
-    predict_ahead,
-)
+from uav_ident_ros.identification.prediction import HORIZONS, InputSignal, predict_ahead
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.published import STATE_FIELDS
-from uav_ident_ros.offline.run import BLOCK, OfflineRun, time_bases
+from uav_ident_ros.offline.run import PORTION, OfflineRun, time_bases
 
 PAUSE_BETWEEN = 1.0
 """Gap drawn between two time bases, s: the true gap is unknown or days long."""
 
 
-class Flight:
+class ReplayedFlight:
     """Measurements and estimates in the order of time; rates in rad/s, body axes FRD."""
 
     def __init__(
@@ -88,7 +84,7 @@ def _joined(parts: Sequence[FloatArray]) -> FloatArray:
 def _inputs_at(inputs: InputSignal, t_ns: TimeArray) -> FloatArray:
     if not len(inputs.t_ns):
         return np.zeros((len(t_ns), 4))
-    return np.concatenate([inputs.at(t_ns[k : k + BLOCK]) for k in range(0, len(t_ns), BLOCK)])
+    return np.concatenate([inputs.at(t_ns[k : k + PORTION]) for k in range(0, len(t_ns), PORTION)])
 
 
 @dataclass(frozen=True)
@@ -107,7 +103,7 @@ class Predictions:
         return self.measured - self.predicted
 
 
-def predict(flight: Flight, horizon: float) -> Predictions:
+def predict(flight: ReplayedFlight, horizon: float) -> Predictions:
     """Return the free predictions from every tick for `horizon` s."""
     parts = []
     for part in flight.stretches:

@@ -17,10 +17,10 @@ from uav_ident_ros.bags.writing import write_file
 from uav_ident_ros.files.truth_file import read_truth
 from uav_ident_ros.identification.delay import DelayBank
 from uav_ident_ros.identification.samples import NS
+from uav_ident_ros.identification.structure import RATES
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import (
-    AXES,
     Table,
     Words,
     coefficients_table,
@@ -54,7 +54,7 @@ def sections(replayed: Replayed) -> Iterator[Section]:
     line = Timeline(flight.span, flight.restarts)
     tick = predict(flight, 1.0 / flight.settings.update_rate)
     fit = summary["prediction_fit"][FIT_WINDOWS]
-    cards = [tables.card(fit, axis) for axis in AXES]
+    cards = [tables.card(fit, axis) for axis in RATES]
     yield Section("fit", "Fit", [_FIT_TEXT], [*fit_tables(summary)], cards=cards)
     states = state_chart(flight, line, lost)
     yield Section("learning", "Learning", [], [tables.gates_table(lost)], [states])

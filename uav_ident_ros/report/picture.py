@@ -10,12 +10,11 @@ from matplotlib.figure import Figure
 
 from uav_ident_ros.bags.writing import whole
 from uav_ident_ros.files.truth_file import read_truth
-from uav_ident_ros.identification.structure import ROWS
+from uav_ident_ros.identification.structure import RATES, ROWS
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
-from uav_ident_ros.offline.tables import AXES
-from uav_ident_ros.report.flight import Flight, Predictions
-from uav_ident_ros.report.style import COLORS, REGRESSORS
+from uav_ident_ros.report.flight import Predictions, ReplayedFlight
+from uav_ident_ros.report.style import COLORS, HUES
 
 SIZE = (13.0, 8.0)
 """Size of the picture, inches."""
@@ -25,7 +24,7 @@ DPI = 110
 DETAIL = 25.0
 """Time shown in the panels of rates, s: in a longer one the prediction hides the measurement."""
 
-HEADROOM = 1.3
+PANEL_HEADROOM = 1.3
 """Range of a panel over that of the values it is scaled by: a divergent curve leaves it."""
 
 BAND = 2.0
@@ -43,7 +42,7 @@ def write_picture(
     panels = figure.subplots(3, 2, sharex="col", width_ratios=(1.1, 1.0))
     for axis, (left, right) in enumerate(panels):
         left.set_title(
-            f"{AXES[axis]}: 1-second prediction fit {fit.model[axis]:.1f} %, "
+            f"{RATES[axis]}: 1-second prediction fit {fit.model[axis]:.1f} %, "
             f"holding the rates {fit.hold[axis]:.1f} %",
             fontsize="medium",
             loc="left",
@@ -75,27 +74,29 @@ def _draw_rate(panel: Any, axis: int, ahead: Predictions) -> None:
         color=COLORS["ahead"], linewidth=1.0, label=f"predicted {ahead.horizon:g} s before",
     )  # fmt: skip
     # a least range, for panels without samples or motion
-    limit = HEADROOM * max(float(np.abs(measured).max(initial=0.0)), 1e-3)
+    limit = PANEL_HEADROOM * max(float(np.abs(measured).max(initial=0.0)), 1e-3)
     panel.set_ylim(-limit, limit)
-    panel.set_ylabel(f"{AXES[axis]} [rad/s]")
+    panel.set_ylabel(f"{RATES[axis]} [rad/s]")
     panel.grid(alpha=0.3)
 
 
-def _draw_coefficients(panel: Any, row: int, flight: Flight, truth: Mapping[str, float]) -> None:
+def _draw_coefficients(
+    panel: Any, row: int, flight: ReplayedFlight, truth: Mapping[str, float]
+) -> None:
     """Draw the damping and control derivatives of a row with their bands and true values."""
     regressors = flight.structure.regressors
-    columns = [j for i, j in flight.structure.free if i == row and regressors[j] in REGRESSORS]
+    columns = [j for i, j in flight.structure.free if i == row and regressors[j] in HUES]
     # the second half sets the range: estimates of the first half may not have settled
     histories = {j: flight.estimates.history((row, j)) for j in columns}
     settled = np.array([values[len(values) // 2 :] for values, _ in histories.values()])
     known = [truth[name] for j in columns if (name := f"{ROWS[row]}/{regressors[j]}") in truth]
     reach = np.array([0.0, *settled.ravel(), *known])
     low, high = float(reach.min()), float(reach.max())
-    margin = (HEADROOM - 1.0) * max(high - low, 1e-3)
+    margin = (PANEL_HEADROOM - 1.0) * max(high - low, 1e-3)
     panel.set_ylim(low - margin, high + margin)
     panel.grid(alpha=0.3)
     for j in sorted(columns, key=lambda j: -histories[j][0][-1]):
-        name, colour = f"{ROWS[row]}/{regressors[j]}", REGRESSORS[regressors[j]]
+        name, colour = f"{ROWS[row]}/{regressors[j]}", HUES[regressors[j]]
         values, sigma = histories[j]
         panel.fill_between(
             flight.tick_t, values - BAND * sigma, values + BAND * sigma,

@@ -25,7 +25,7 @@ SERIES = ("tick", "ahead", "truth", "fourth")
 DASHES = ("solid", "dashed", "dotdash", "dotted")
 """Dashes of these lines, for prints without colours."""
 
-REGRESSORS = {
+HUES = {
     "p": "#0072b2", "q": "#56b4e9", "r": "#009e73", "de": "#a8588a", "dr": "#8c564b",
     "da": "#cc79a7", "beta": "#8a8a00", "alpha": "#e69f00",
 }  # fmt: skip

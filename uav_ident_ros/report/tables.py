@@ -17,8 +17,8 @@ from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.tables import Number, Row, Table, Words
-from uav_ident_ros.report.diagrams import SIGNALS, signals
-from uav_ident_ros.report.flight import Flight
+from uav_ident_ros.report.diagrams import FLIGHT_SIGNALS, signals
+from uav_ident_ros.report.flight import ReplayedFlight
 
 
 def gates_table(lost: Mapping[str, float]) -> Table:
@@ -28,13 +28,13 @@ def gates_table(lost: Mapping[str, float]) -> Table:
     return Table("Where the flight went, share of the ticks", ("reason", "[%]"), rows)
 
 
-def correlations_table(flight: Flight) -> Table:
+def correlations_table(flight: ReplayedFlight) -> Table:
     """Return the correlations of all signals with the inputs."""
     with np.errstate(invalid="ignore", divide="ignore"):  # NaN for constant signals
         found = np.corrcoef(signals(flight).T)[:, : len(INPUTS)]
     rows = [
         Row(name, [Number(value, ".2f", shaded=True) for value in line])
-        for name, line in zip(SIGNALS, found, strict=True)
+        for name, line in zip(FLIGHT_SIGNALS, found, strict=True)
     ]
     return Table("Correlation with the inputs", ("signal", *INPUTS), rows)
 
@@ -95,7 +95,7 @@ def origin_tables(bag: Path) -> Iterator[Table]:
     yield Table("Software", ("package", "version"), software)
 
 
-LOWEST_SHOWN = -100.0
+DIVERGENT_BELOW = -100.0
 """Fit below which a model counts as divergent, percent."""
 
 
@@ -106,7 +106,7 @@ def card(fit: Mapping[str, Any], axis: str) -> dict[str, Any]:
     return {
         "axis": f"{AXIS_WORDS[f'{axis}dot']}, {axis}",
         "value": Number(model, ".1f"),
-        "diverges": model is not None and model < LOWEST_SHOWN,
+        "diverges": model is not None and model < DIVERGENT_BELOW,
         "share": f"{share:.1f}",
         "mark": f"{mark:.1f}",
         "hold": Number(hold, ".1f"),

@@ -29,7 +29,7 @@ LEFT = 64
 WITH_BUTTONS = 200
 """Height from which a chart has buttons, pixels; lower ones move with it."""
 
-HEADROOM = 0.08
+AXIS_MARGIN = 0.08
 """Margin beyond the values on an axis, relative to their range."""
 
 
@@ -57,7 +57,7 @@ def value_range(*values: FloatArray) -> Range1d:
     every = np.concatenate([np.ravel(v) for v in values])
     every = every[np.isfinite(every)]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 0.0)
-    room = max(HEADROOM * (high - low), 1e-9)
+    room = max(AXIS_MARGIN * (high - low), 1e-9)
     return Range1d(low - room, high + room)
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.identification.structure import INPUTS, STRUCTURES, FloatArray
 from uav_ident_ros.simulation.airframe import airframe
 from uav_ident_ros.simulation.channels import PLAIN
 from uav_ident_ros.simulation.flight import SimulationError
@@ -41,13 +41,13 @@ method, which needs five."""
 UNBALANCES = ("udot-ft_sec2", "wdot-ft_sec2", "pdot-rad_sec2", "qdot-rad_sec2", "rdot-rad_sec2")
 """Accelerations that are zero in trim."""
 
-SURFACES = (
+SURFACE_PROPERTIES = (
     "fcs/elevator-pos-rad",
     "fcs/rudder-pos-rad",
     "fcs/left-aileron-pos-rad",
     "fcs/throttle-pos-norm",
 )
-COMMANDS = ("fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/aileron-cmd-norm")
+COMMAND_PROPERTIES = ("fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/aileron-cmd-norm")
 _TRIMS = ("fcs/pitch-trim-cmd-norm", "fcs/yaw-trim-cmd-norm", "fcs/roll-trim-cmd-norm")
 
 OUTPUT = re.compile(r"<output\s[^>]*/>|<output\s[^>]*[^/]>.*?</output>", re.DOTALL)
@@ -64,7 +64,7 @@ COMMAND_POINTS = np.linspace(-1.0, 1.0, 81)
 """Commands at which surface deflections are tabulated, linear in between. A deflection may have a
 kink at the centre or saturate before full command (the A4's rudder at 0.35 of it)."""
 
-SIGNALS = {
+PROPERTIES = {
     "p": "velocities/p-rad_sec",
     "q": "velocities/q-rad_sec",
     "r": "velocities/r-rad_sec",
@@ -82,12 +82,12 @@ SIGNALS = {
     "pitch": "attitude/theta-rad",
     "yaw": "attitude/psi-rad",
     "altitude": "position/h-sl-ft",
-    **dict(zip(PLAIN.names, SURFACES, strict=True)),
+    **dict(zip(PLAIN.names, SURFACE_PROPERTIES, strict=True)),
 }
 """Properties read after every step, by the name of the signal."""
 
 Signals = Mapping[str, float]
-"""`SIGNALS` by name, SI."""
+"""`PROPERTIES` by name, SI."""
 
 BALLAST = """<pointmass name="ballast"><weight unit="LBS">0</weight><location unit="IN">
 <x>0</x><y>0</y><z>0</z></location></pointmass>"""
@@ -146,10 +146,10 @@ def _surface_ranges(model: str, rate: float) -> FloatArray:
         fdm.run_ic()
     out = np.empty((3, len(COMMAND_POINTS)))
     for i, command in enumerate(COMMAND_POINTS):
-        for target in COMMANDS:
+        for target in COMMAND_PROPERTIES:
             fdm[target] = command
         fdm.run()
-        out[:, i] = [fdm[surface] for surface in SURFACES[:3]]
+        out[:, i] = [fdm[surface] for surface in SURFACE_PROPERTIES[:3]]
     return out
 
 
@@ -169,16 +169,16 @@ class Aircraft:
         self.limits = np.column_stack([self._ranges[:, [0, -1]].T, (0.0, 1.0)])
         self.fdm = _load(self.airframe.model, rate)  # JSBSim's executive, for direct access
         nodes = self.fdm.get_property_manager()
-        self._read = {name: nodes.get_node(path) for name, path in SIGNALS.items()}
+        self._read = {name: nodes.get_node(path) for name, path in PROPERTIES.items()}
         self._mass = nodes.get_node("inertia/mass-slugs")
-        self._command = [nodes.get_node(name) for name in COMMANDS]
+        self._command = [nodes.get_node(name) for name in COMMAND_PROPERTIES]
         self._engines = self.fdm.get_propulsion().get_num_engines()
         suffixes = [""] + [f"[{i}]" for i in range(1, self._engines)]
         throttles = (nodes.get_node(f"fcs/throttle-cmd-norm{s}") for s in suffixes)
         self._throttle = [node for node in throttles if node is not None]  # a glider has none
         self._trim()
         # (4,) Elevator, rudder, aileron (rad) and throttle as last commanded
-        self.surfaces = np.array([self.fdm[s] for s in SURFACES])
+        self.surfaces = np.array([self.fdm[s] for s in SURFACE_PROPERTIES])
 
     def _trim(self) -> None:
         fdm = self.fdm
@@ -300,7 +300,7 @@ def settle(aircraft: Aircraft, rate: float = AUTOPILOT_RATE) -> tuple[Autopilot,
 # --- true derivatives at a flight condition -------------------------------------------------------
 
 
-STATES = {
+STATE_PROPERTIES = {
     "p": "ic/p-rad_sec",
     "q": "ic/q-rad_sec",
     "r": "ic/r-rad_sec",
@@ -309,18 +309,18 @@ STATES = {
 }
 """States of the linear model, rad/s and rad, with the properties that set them."""
 
-ROWS = ("pdot", "qdot", "rdot", "ay", "az", "betadot", "alphadot")
+MODEL_ROWS = STRUCTURES["flight_dynamics"].row_labels
 """Rows of the linear model: rad/s^2, m/s^2 (specific force at the centre of gravity), rad/s."""
 
-STEP = 1e-3
+PERTURBATION = 1e-3
 """Perturbation of a state (rad/s, rad) or an input (rad, throttle 0..1): well below a degree, over
 which JSBSim's tables are linear, and well above the rounding of doubles."""
 
-SIMULATION_RATE = 200.0
+SETTLING_RATE = 200.0
 """Simulation rate for settling at the cruise condition, Hz; 1 kHz gives the same condition."""
 
 LEAST_DERIVATIVE = 0.01
-"""Smallest derivative that `cruise_derivatives` contains, in the units of `ROWS`."""
+"""Smallest derivative that `cruise_derivatives` contains, in the units of `MODEL_ROWS`."""
 
 _KEPT = {
     "ic/h-sl-ft": "position/h-sl-ft",
@@ -341,8 +341,9 @@ _KEPT = {
 class Linearisation:
     """Derivatives of an aircraft about a flight condition."""
 
-    # By name such as ``pdot/da``: of `ROWS` by `STATES` at fixed attitude, airspeed and surfaces,
-    # and by the inputs at fixed states; ``betadot/p`` excludes the model's own term p alpha
+    # By name such as ``pdot/da``: of `MODEL_ROWS` by `STATE_PROPERTIES` at fixed attitude,
+    # airspeed and surfaces, and by the inputs at fixed states; ``betadot/p`` excludes the model's
+    # own term p alpha
     derivatives: dict[str, float]
     airspeed: float  # True, m/s
 
@@ -352,13 +353,13 @@ def linearise_cruise(
     speed: float | None = None,  # True airspeed in place of the airframe's, m/s
 ) -> Linearisation:
     """Linearise an aircraft in steady, calm flight."""
-    aircraft = Aircraft(name, SIMULATION_RATE, speed)
+    aircraft = Aircraft(name, SETTLING_RATE, speed)
     settle(aircraft)
-    return linearise(aircraft)
+    return differentiate(aircraft)
 
 
 @lru_cache
-def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float]:
+def cruise_derivatives(name: str, speed: float | None) -> dict[str, float]:
     """Return the derivatives of `linearise_cruise` by name, to four figures.
 
     Derivatives with respect to throttle are omitted, because an engine follows it slowly; so are
@@ -372,7 +373,7 @@ def cruise_derivatives(name: str, speed: float | None = None) -> dict[str, float
     }
 
 
-def linearise(aircraft: Aircraft) -> Linearisation:
+def differentiate(aircraft: Aircraft) -> Linearisation:
     """Linearise an aircraft about its present state, surfaces and mass.
 
     The derivatives are central differences of JSBSim's accelerations, each about the present state
@@ -388,23 +389,23 @@ def linearise(aircraft: Aircraft) -> Linearisation:
 
     def slope(changed: str, moved: FloatArray) -> FloatArray:
         ends = []
-        for step in (STEP, -STEP):
+        for step in (PERTURBATION, -PERTURBATION):
             aircraft.set_surfaces(surfaces + step * moved)
             there = {changed: state[changed] + step} if changed else {}
             signals = _signals(aircraft, state | there)
             rows = [signals[name] for name in ("pdot", "qdot", "rdot", "fy", "fz")]
             flow = [fdm[f"aero/{angle}dot-rad_sec"] for angle in ("beta", "alpha")]
             ends.append(np.array([*rows, *flow]))
-        return np.asarray((ends[0] - ends[1]) / (2.0 * STEP))
+        return np.asarray((ends[0] - ends[1]) / (2.0 * PERTURBATION))
 
     still = np.zeros(len(INPUTS))
-    columns = {name: slope(changed, still) for name, changed in STATES.items()}
+    columns = {name: slope(changed, still) for name, changed in STATE_PROPERTIES.items()}
     columns |= {name: slope("", one) for name, one in zip(INPUTS, np.eye(len(INPUTS)), strict=True)}
     aircraft.set_surfaces(surfaces)
     _signals(aircraft, state)
     derivatives = {
         f"{row}/{name}": float(column[k])
-        for k, row in enumerate(ROWS)
+        for k, row in enumerate(MODEL_ROWS)
         for name, column in columns.items()
     }
     # In the model's own term p alpha, alpha is zero where az is; the remainder is the coefficient.

@@ -40,7 +40,7 @@ SUFFIX = ".yaml"
 
 
 @dataclass(frozen=True)
-class Gains:
+class AutopilotGains:
     """Gains of the simple autopilot, `uav_ident_ros.simulation.aircraft.Autopilot`."""
 
     # roll_gain, pitch_gain: Aileron per rad of roll error, elevator per rad of pitch error
@@ -62,7 +62,7 @@ class Airframe:
     model: str  # Path of the JSBSim model's folder, or its name if it comes with JSBSim
     speed: float  # True airspeed, m/s
     altitude: float  # Above sea level, m
-    autopilot: Gains  # Tuned for that speed
+    autopilot: AutopilotGains  # Tuned for that speed
     # Peaks of the multisines for identification, by input: rad, throttle 0..1
     excitation: Mapping[str, float] = field(default_factory=dict)
 
@@ -109,7 +109,7 @@ def _read(path: Path) -> Airframe:
         raise SimulationError(f"{where}: {problem(error)}") from None
     if not isinstance(content, dict):
         raise SimulationError(f"{where} has no entries like 'model: c172p'")
-    nested = {"autopilot": (Gains, f"{where}, autopilot")}
+    nested = {"autopilot": (AutopilotGains, f"{where}, autopilot")}
     found: Airframe = build(Airframe, {"name": path.stem, **content}, where, nested)
     if not isinstance(found.model, str):
         raise SimulationError(f"{where}: model is the number {found.model}: write it in quotes")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from uav_ident_ros.identification.samples import NS, NS_PER_S
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 from uav_ident_ros.simulation.channels import PLAIN, ChannelSet
 
@@ -31,7 +32,7 @@ STEP_TOLERANCE = 1e-6
 
 def stamps(seconds: FloatArray) -> IntArray:
     """Return the stamps, ns, of times after the first sample of a flight, s."""
-    return EPOCH_NS + np.asarray(np.rint(seconds * 1e9), dtype=np.int64)
+    return EPOCH_NS + np.asarray(np.rint(seconds * NS_PER_S), dtype=np.int64)
 
 
 def whole_steps(time: float, rate: float, what: str) -> int:
@@ -92,17 +93,17 @@ class Flight:
     @property
     def rate(self) -> float:
         """Sample rate, Hz."""
-        return 1e9 * (len(self.t_ns) - 1) / float(self.t_ns[-1] - self.t_ns[0])
+        return NS_PER_S * (len(self.t_ns) - 1) / float(self.t_ns[-1] - self.t_ns[0])
 
     @property
     def duration(self) -> float:
         """Time from the first sample to the last, s."""
-        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9
+        return float(self.t_ns[-1] - self.t_ns[0]) * NS
 
     @property
     def time(self) -> FloatArray:
         """Times of the samples since the first one, s."""
-        return np.asarray((self.t_ns - self.t_ns[0]) * 1e-9)
+        return np.asarray((self.t_ns - self.t_ns[0]) * NS)
 
     def channels(self) -> FloatArray:
         """Return the raw actuator channels, shape (M, C)."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.simulation.aircraft import SIGNALS, Aircraft, cruise_derivatives, settle
+from uav_ident_ros.simulation.aircraft import PROPERTIES, Aircraft, cruise_derivatives, settle
 from uav_ident_ros.simulation.channels import QUADROTOR
 from uav_ident_ros.simulation.faults import (
     MAX_TURBULENCE,
@@ -155,7 +155,7 @@ class AircraftFlight(Plan):
             return live.aircraft.clip(wanted + excitation)
 
         rows, commands, common = live.record(self, commanded)
-        signals = dict(zip(SIGNALS, rows.T, strict=True))
+        signals = dict(zip(PROPERTIES, rows.T, strict=True))
         extra = {key: signals[key] for key in ("alpha", "beta", "roll", "pitch", "altitude")}
         extra["surfaces"] = np.column_stack([signals[key] for key in SURFACE_NAMES])
         airspeed = signals["airspeed"]

@@ -14,7 +14,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
-from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, NS_PER_S, RATES
+from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, NS_PER_S, RATES_STREAM
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FLU_TO_FRD, FRAME_IDS
 from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError
@@ -74,7 +74,7 @@ class Sensors:
         return gyro, accelerometer
 
 
-class Message(NamedTuple):
+class SentSample(NamedTuple):
     """A sample on its way to an identifier."""
 
     arrival_ns: int  # Time of arrival, ns
@@ -84,7 +84,7 @@ class Message(NamedTuple):
 
     def give(self, identifier: OnlineIdentifier) -> None:
         """Add the sample to an identifier."""
-        if self.stream == RATES:
+        if self.stream == RATES_STREAM:
             identifier.add_rates(self.t_ns, self.values[:3], self.values[3:] or None)
             return
         add = getattr(identifier, f"add_{self.stream}")
@@ -112,22 +112,22 @@ class Samples:
     airspeed_log_ns: IntArray
     airspeed: FloatArray
 
-    def messages(self) -> Iterator[Message]:
+    def messages(self) -> Iterator[SentSample]:
         """Yield all samples in the order of arrival; at equal times the command is first."""
         inertial = np.hstack([self.rates, self.specific_force])
         columns = (
             (ACTUATORS, self.actuator_log_ns, self.actuator_t_ns, self.actuators),
-            (RATES, self.imu_log_ns, self.imu_t_ns, inertial),
+            (RATES_STREAM, self.imu_log_ns, self.imu_t_ns, inertial),
             (AIRSPEED, self.airspeed_log_ns, self.airspeed_t_ns, self.airspeed[:, None]),
         )
         streams = (
-            map(Message, log.tolist(), repeat(name), t.tolist(), map(tuple, values.tolist()))
+            map(SentSample, log.tolist(), repeat(name), t.tolist(), map(tuple, values.tolist()))
             for name, log, t, values in columns
         )
         return heapq.merge(*streams, key=itemgetter(0))
 
 
-def fed(identifier: OnlineIdentifier, messages: Iterable[Message]) -> Iterator[Estimate]:
+def fed(identifier: OnlineIdentifier, messages: Iterable[SentSample]) -> Iterator[Estimate]:
     """Add messages to an identifier; yield the estimate of each tick as soon as it is due."""
     for message in messages:
         message.give(identifier)

@@ -63,7 +63,7 @@ TICK_NS = TICK_DUE_NS = 50_000_000
 
 UNLIMITED = [math.inf] * 4
 
-DEPTH = 50
+QUEUE = 50
 """Depth of the queues, all reliable: lock-step needs every message."""
 
 PARAMETERS = (
@@ -142,12 +142,12 @@ class PlantNode(Node):
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
         self._clock = StepClock(self, self._executor, self._period_ns, self._lock_step)
-        self._imu = self.create_publisher(Imu, "imu/data", DEPTH)
-        self._actuators = self.create_publisher(JointState, "actuators", DEPTH)
-        self._airspeed = self.create_publisher(TwistStamped, "airspeed", DEPTH)
-        self.create_subscription(JointState, "command", self._on_command, DEPTH)
-        self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, DEPTH)
-        self.create_subscription(String, "~/fault", self._on_fault, DEPTH)
+        self._imu = self.create_publisher(Imu, "imu/data", QUEUE)
+        self._actuators = self.create_publisher(JointState, "actuators", QUEUE)
+        self._airspeed = self.create_publisher(TwistStamped, "airspeed", QUEUE)
+        self.create_subscription(JointState, "command", self._on_command, QUEUE)
+        self.create_subscription(Vector3Stamped, "rate_reference", self._on_reference, QUEUE)
+        self.create_subscription(String, "~/fault", self._on_fault, QUEUE)
         self._excite = self.create_client(SetBool, "identifier/excite")
         refusing = CoefficientSource(Fallback.REFUSE)
         self._identified = subscribe(self, refusing, callback=self._on_coefficients)
@@ -350,8 +350,8 @@ class PlantNode(Node):
         if not self._controller_silent and not self._wait(answered, PATIENCE) and self._going():
             self._controller_silent = True
             self.get_logger().error(
-                f"no answer to the sample of {self._aircraft.time:.2f} s within {PATIENCE:g} s: "
-                "the last command holds, going on without waiting"
+                f"no answer to the sample of {self._aircraft.time:.2f} s within {PATIENCE:g} "
+                "s: the last command holds, going on without waiting"
             )
         wanted = self._now_ns - COEFFICIENTS_WITHIN_NS
         if not self._identifier_silent and wanted > self._start_ns + COEFFICIENTS_WITHIN_NS:

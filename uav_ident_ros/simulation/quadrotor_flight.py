@@ -64,18 +64,18 @@ class Body:
         }
 
 
-STILL = (0.0, 0.0, 0.0)
+NO_GUST = (0.0, 0.0, 0.0)
 """No gust."""
 
 
-ANGLE_GAIN, RATE_GAIN, YAW_GAIN = 0.3, 0.06, 0.35
+TILT_GAIN, TILT_RATE_GAIN, YAW_GAIN = 0.3, 0.06, 0.35
 """Gains of the autopilot: input per rad and per rad/s of roll and pitch, and per rad/s of yaw."""
 
 HEIGHT_GAIN, SINKING_GAIN = 0.05, 0.08
 """Collective per m and per m/s."""
 
 
-PARAMETERS = {
+QUADROTOR_SETTINGS = {
     "structure": "augmented",
     "fixed_coefficients": ["pdot/ay", "qdot/az", "rdot/ay"],  # no flow angles
     "actuators.thrust_curve": [1.0] * len(QUADROTOR.names),
@@ -142,9 +142,9 @@ class LiveQuadrotor(Live):
         p, q, r, roll, pitch, *_, down = self.state
         return np.array(
             [
-                ANGLE_GAIN * pitch + RATE_GAIN * q,
+                TILT_GAIN * pitch + TILT_RATE_GAIN * q,
                 YAW_GAIN * r,
-                -ANGLE_GAIN * roll - RATE_GAIN * p,
+                -TILT_GAIN * roll - TILT_RATE_GAIN * p,
                 HEIGHT_GAIN * down + SINKING_GAIN * self._sinking,
             ]
         )
@@ -171,7 +171,7 @@ class LiveQuadrotor(Live):
 
     def loads(
         self,
-        gust: Sequence[float] = STILL,  # Angular acceleration by the gust, rad/s^2
+        gust: Sequence[float] = NO_GUST,  # Angular acceleration by the gust, rad/s^2
     ) -> tuple[list[float], list[float]]:
         """Return specific force, m/s^2, and angular acceleration, rad/s^2, in the present state."""
         body = self.body
@@ -196,7 +196,7 @@ class LiveQuadrotor(Live):
 
     def _fly(self, acting: FloatArray, moved: bool) -> list[float]:
         """Simulate one step: motor speeds exactly, the motion to second order."""
-        h, gust = 1.0 / self.rate, next(self._gusts, STILL)
+        h, gust = 1.0 / self.rate, next(self._gusts, NO_GUST)
         state, before = self.state, self.speeds
         decay = math.exp(-0.5 * h / self.body.time_constant)
         aims = [min(max(c, 0.0), 1.0) for c in acting.tolist()]
@@ -265,7 +265,7 @@ class QuadrotorFlight(Plan):
             trim=live.trim,
             channel_set=QUADROTOR,
             local_truth=live.body.derivatives(),
-            parameters=PARAMETERS,
+            parameters=QUADROTOR_SETTINGS,
             extra={"gust": gusts, "angles": rows[:, 9:12]},
             **common,
         )

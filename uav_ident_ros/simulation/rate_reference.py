@@ -22,7 +22,7 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 from uav_ident_ros.node.program import read_parameters, run, spin
 
-ANGLE_GAIN = 1.0
+RATE_PER_ANGLE = 1.0
 """Reference rate per rad of angle error, 1/s."""
 
 SMOOTHING = 0.2
@@ -69,7 +69,7 @@ class Manoeuvres:
             self._level = pitch
         self._choose(time)
         error = np.array([self._target[0] - roll, self._level + self._target[1] - pitch])
-        wanted = np.clip(ANGLE_GAIN * error, np.negative(MAX_RATES), MAX_RATES)
+        wanted = np.clip(RATE_PER_ANGLE * error, np.negative(MAX_RATES), MAX_RATES)
         self._rates = self._rates + min(1.0, dt / SMOOTHING) * (wanted - self._rates)
         return body_rates(self._rates, roll, pitch, GRAVITY / self._airspeed * math.tan(roll))
 

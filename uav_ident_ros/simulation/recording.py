@@ -22,11 +22,11 @@ from uav_ident_ros.bags.writing import (
 )
 from uav_ident_ros.files.parameter_file import PARAMETER_FILE
 from uav_ident_ros.files.truth_file import TRUTH_FILE
-from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, RATES
+from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, RATES_STREAM
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
-from uav_ident_ros.simulation.noise import Measurements, Message
+from uav_ident_ros.simulation.noise import Measurements, SentSample
 
-TOPICS = {RATES: "/imu/data", ACTUATORS: "/actuators", AIRSPEED: "/airspeed"}
+TOPICS = {RATES_STREAM: "/imu/data", ACTUATORS: "/actuators", AIRSPEED: "/airspeed"}
 
 FIGURES = 9
 """Significant figures of the numbers in the files beside the bag."""
@@ -37,10 +37,10 @@ def actuator_type(measurements: Measurements) -> str:
     return JOINT_STATE if measurements.sensors.stamped else ARRAY
 
 
-def as_message(measured: Message, m: Measurements) -> Any:
+def as_message(measured: SentSample, m: Measurements) -> Any:
     """Return the ROS message of a sample."""
     t_ns, values = measured.t_ns, measured.values
-    if measured.stream == RATES:
+    if measured.stream == RATES_STREAM:
         return imu(t_ns, values[:3], values[3:], m.frame_id, covariances=m.sensors.covariances)
     if measured.stream == AIRSPEED:
         return twist_stamped(t_ns, (*values, 0.0, 0.0))
@@ -62,7 +62,7 @@ def write_bag(
     """
     with whole(Path(path)) as folder:
         with BagWriter(folder, compress) as bag:
-            bag.topic(TOPICS[RATES], IMU, qos(500, reliable=False))
+            bag.topic(TOPICS[RATES_STREAM], IMU, qos(500, reliable=False))
             bag.topic(TOPICS[ACTUATORS], actuator_type(measurements), qos(10))
             if len(measurements.airspeed):
                 bag.topic(TOPICS[AIRSPEED], TWIST, qos(10))
@@ -112,9 +112,10 @@ def truth(measurements: Measurements) -> dict[str, Any]:
     out: dict[str, Any] = {"flight": flight.name}
     if flight.coefficients is not None:
         structure = STRUCTURES[flight.structure]
-        values = (float(flight.coefficients[index]) for index in structure.free)
         out["structure"] = structure.name
-        out["coefficients"] = dict(zip(structure.names, values, strict=True))
+        out["coefficients"] = {
+            name: float(flight.coefficients[place]) for name, place in structure.places.items()
+        }
     if flight.local_truth:
         out["local_derivatives"] = dict(flight.local_truth)
     return out
