@@ -117,8 +117,7 @@ def run(trial: Trial, structure_name: str) -> Outcome:
     case = flown if isinstance(flown, cases.Case) else cases.measured(flown)
     flight = case.flight  # None of a recorded flight, without truth
     named = {"structure": structure_name} if structure_name else {}
-    values = {**named, **trial.settings}
-    structure = STRUCTURES[case.settings(values).structure]
+    structure = STRUCTURES[case.settings({**named, **trial.settings}).structure]
     initial = None
     if trial.warm:
         assert flight is not None
@@ -131,8 +130,16 @@ def run(trial: Trial, structure_name: str) -> Outcome:
         estimates = _replay(flown, named, initial)
     else:
         given = flight.injected if trial.published and flight is not None else ()
-        track = cases.identify(case, values, initial=initial, given=given)
+        track = cases.identify(case, {**named, **trial.settings}, initial=initial, given=given)
         estimates, losing = track.estimates, track.losing
+    return _outcome(trial, case, structure, estimates, losing)
+
+
+def _outcome(
+    trial: Trial, case: cases.Case, structure: Structure, estimates: Sequence[Estimate], losing: Any
+) -> Outcome:
+    """Compare the estimates with the truth."""
+    flight = case.flight
     time = np.array([(e.t_ns - int(case.samples.imu_t_ns[0])) * 1e-9 for e in estimates])
     found = np.array([e.coefficients for e in estimates])
     sigma = np.array([e.sigma for e in estimates])

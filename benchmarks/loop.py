@@ -222,17 +222,23 @@ def fly_loop(
             sample, reference = loop.answer()
             outcome.samples.append(sample)
             outcome.wanted.append(reference)
-            if loop.identifier is not None:
-                for change in loop.identifier.supervisor.changed[len(outcome.changes) :]:
-                    outcome.changes.append((sample.time, change.name))
-            if isinstance(controller, RateController):
-                now = controller.effect.sources
-                if not outcome.sources or outcome.sources[-1][1] != now:
-                    outcome.sources.append((sample.time, now))
+            _note(outcome, loop)
             live.advance()
     except SimulationError:
         outcome.lost = live.time
     return outcome
+
+
+def _note(outcome: Outcome, loop: Loop) -> None:
+    """Add newly named changes, and the controller's sources if they have changed."""
+    time, controller = outcome.samples[-1].time, loop.controller
+    if loop.identifier is not None:
+        for change in loop.identifier.supervisor.changed[len(outcome.changes) :]:
+            outcome.changes.append((time, change.name))
+    if isinstance(controller, RateController):
+        now = controller.effect.sources
+        if not outcome.sources or outcome.sources[-1][1] != now:
+            outcome.sources.append((time, now))
 
 
 def rate_controller(

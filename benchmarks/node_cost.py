@@ -13,7 +13,7 @@ import multiprocessing
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from multiprocessing.queues import Queue
 from pathlib import Path
@@ -27,6 +27,7 @@ from sensor_msgs.msg import Imu, JointState
 from uav_ident_ros.bags.writing import jazzy_types
 from uav_ident_ros.guest import Guest
 from uav_ident_ros.identification.samples import ACTUATORS, RATES_STREAM
+from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import header_ns
 from uav_ident_ros.player import Player
 from uav_ident_ros.process import NodeProcess, own_domain
@@ -133,18 +134,28 @@ def measure(imu_rate: float, seconds: float) -> tuple[str, ...]:
         if node.poll() is not None:
             raise RuntimeError(f"the node has ended with status {node.returncode}")
         cpu = (cpu_seconds(node.pid) - cpu) / (time.monotonic() - begin)
-        memory_end, age_ms = bench.resident_mb(node.pid), np.array(ages) * 1e-6
+        memories, age_ms = (memory, bench.resident_mb(node.pid)), np.array(ages) * 1e-6
         player.wait_until(lambda: not sent.empty(), "the publisher to end", timeout=60.0)
         counts = sent.get()
         player.spin_for(SETTLE)
         status = {entry.key: entry.value for entry in player.outputs.status[-1].values}
+    return f"{imu_rate:g}", f"{100.0 * cpu:.1f}", *_cells(status, counts, age_ms, *memories)
+
+
+def _cells(
+    status: Mapping[str, str],  # Newest /diagnostics of the node
+    counts: Mapping[str, int],  # Messages sent, by stream
+    age_ms: FloatArray,  # Age of each estimate when received, ms
+    # memory, memory_end: Resident memory of the node before and after, MiB
+    memory: float,
+    memory_end: float,
+) -> tuple[str, ...]:
+    """Return the cells of losses, times and memory."""
     update = [status.get(f"ticks: update time {p} [ms]", "-") for p in ("p50", "p99", "max")]
     published = [status.get(f"ticks: age when published {p} [ms]", "-") for p in ("p50", "p99")]
     age = np.percentile(age_ms, (50, 99)) if len(age_ms) else (np.nan, np.nan)
     lost = {stream: sends - int(status[f"{stream}: messages"]) for stream, sends in counts.items()}
     return (
-        f"{imu_rate:g}",
-        f"{100.0 * cpu:.1f}",
         f"{lost[RATES_STREAM]} / {counts[RATES_STREAM]}",
         f"{lost[ACTUATORS]}",
         " / ".join(update),

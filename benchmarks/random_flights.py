@@ -43,19 +43,29 @@ class Draw:
     label: str
 
 
+class Chance:
+    """Random numbers of one draw."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng([seed, 99])
+
+    def between(self, low: float, high: float) -> float:
+        """Return a number of a range."""
+        return float(self._rng.uniform(low, high))
+
+    def octaves(self, low: float, high: float) -> float:
+        """Return a number of a range with a uniform logarithm."""
+        return math.exp(self.between(math.log(low), math.log(high)))
+
+    def one_of(self, *values: Any) -> Any:
+        """Return one of some values."""
+        return values[int(self._rng.integers(len(values)))]
+
+
 def draw(seed: int) -> Draw:
     """Draw aircraft, sensors, settings and flight for a seed."""
-    rng = np.random.default_rng([seed, 99])
-
-    def between(low: float, high: float) -> float:
-        return float(rng.uniform(low, high))
-
-    def octaves(low: float, high: float) -> float:
-        return math.exp(between(math.log(low), math.log(high)))
-
-    def one_of(*values: Any) -> Any:
-        return values[int(rng.integers(len(values)))]
-
+    chance = Chance(seed)
+    between, octaves, one_of = chance.between, chance.octaves, chance.one_of
     speed, quick = octaves(11.0, 60.0), octaves(0.35, 1.6)
     derivatives = _derivatives(speed, quick, {k: between(*v) for k, v in SPREAD.items()})
     how = one_of("multisine", "multisine", "3211", "doublet", "", "until 40 s", "until 40 s")
@@ -77,11 +87,7 @@ def draw(seed: int) -> Draw:
         roll_gust=min(6.0 / speed, 0.5), speed=speed, derivatives=derivatives,
         changes=(CoefficientChange(between(35.0, 80.0), {surface: left}),) if fails else (),
     )  # fmt: skip
-    sensors = Sensors(
-        rate=one_of(25.0, 50.0, 100.0, 200.0, 400.0), gyro_noise=octaves(0.003, 0.05),
-        accelerometer_noise=octaves(0.05, 1.2), stamped=one_of(True, True, False),
-        lever_arm=one_of((0.0, 0.0, 0.0), (between(-0.3, 0.3), 0.0, between(-0.08, 0.08))),
-    )  # fmt: skip
+    sensors = _sensors(chance)
     settings = {
         "actuators.delay": max(delay + one_of(0.0, 0.0, 0.015, -0.015), 0.0),
         "actuators.time_constant": lag * one_of(1.0, 1.0, 0.5),
@@ -94,6 +100,15 @@ def draw(seed: int) -> Draw:
         + (f", {surface} x {left:g}" if fails else "")
     )
     return Draw(flight, sensors, settings, bool(how), label)
+
+
+def _sensors(chance: Chance) -> Sensors:
+    between, octaves, one_of = chance.between, chance.octaves, chance.one_of
+    return Sensors(
+        rate=one_of(25.0, 50.0, 100.0, 200.0, 400.0), gyro_noise=octaves(0.003, 0.05),
+        accelerometer_noise=octaves(0.05, 1.2), stamped=one_of(True, True, False),
+        lever_arm=one_of((0.0, 0.0, 0.0), (between(-0.3, 0.3), 0.0, between(-0.08, 0.08))),
+    )  # fmt: skip
 
 
 def _derivatives(speed: float, quick: float, factors: Mapping[str, float]) -> dict[str, float]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from programs import PATIENCE, Capture, StartNode, Terminal, handled, refusal, wait_for
-from recordings import Fly, change, recording
+from recordings import Fly, Player, Recording, change, recording
 from repository import ROOT
 
 from uav_ident_ros.commandline import INTERRUPTED
@@ -56,6 +56,32 @@ def start_monitor() -> Iterator[StartMonitor]:
         process.communicate()
 
 
+class InParts:
+    """A flight that is played in parts."""
+
+    def __init__(self, flight: Recording, player: Player) -> None:
+        self._flight, self._player = flight, player
+        self._reached_ns = flight.messages[0].log_ns
+
+    def until(self, enough: Callable[[], bool]) -> None:
+        """Continue slowly: a busy machine takes long to start a process."""
+
+        def check_time(t_ns: int) -> None:
+            self._reached_ns = t_ns
+            if enough():
+                raise PlaybackEndError
+
+        with contextlib.suppress(PlaybackEndError):
+            rest = [m for m in self._flight.messages if m.log_ns >= self._reached_ns]
+            self._player.play(rest, speed=0.3, on_time=check_time, in_step=True)
+
+    def fly_on(self, seconds: float) -> None:
+        """Continue for some seconds of the flight, in step."""
+        begin, end = self._reached_ns, self._reached_ns + round(seconds * 1e9)
+        self._player.play_in_step([m for m in self._flight.messages if begin <= m.log_ns < end])
+        self._reached_ns = end
+
+
 def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
     fly: Fly, start_monitor: StartMonitor, warm: Path, tmp_path: Path
 ) -> None:
@@ -63,42 +89,24 @@ def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
     start = warm.with_name("start.yaml")
     parameters = {"supervision.min_fit": "99.5", "initial_coefficients_file": start}
     _, player = fly(flight, parameters=parameters)
-    reached = flight.messages[0].log_ns
-
-    def play_until(enough: Callable[[], bool]) -> None:
-        """Continue slowly: a busy machine takes long to start a process."""
-
-        def check_time(t_ns: int) -> None:
-            nonlocal reached
-            reached = t_ns
-            if enough():
-                raise PlaybackEndError
-
-        with contextlib.suppress(PlaybackEndError):
-            rest = [m for m in flight.messages if m.log_ns >= reached]
-            player.play(rest, speed=0.3, on_time=check_time, in_step=True)
-
-    def fly_on(seconds: float) -> None:
-        nonlocal reached
-        begin, reached = reached, reached + round(seconds * 1e9)
-        player.play_in_step([m for m in flight.messages if begin <= m.log_ns < reached])
+    played = InParts(flight, player)
 
     def once(*arguments: str) -> tuple[int, str]:
         """Play until the monitor ends; return its status and its output."""
         monitor = start_monitor("--once", *arguments)
-        play_until(lambda: monitor.poll() is not None)
+        played.until(lambda: monitor.poll() is not None)
         shown, errors = monitor.communicate(timeout=PATIENCE)
         assert "Traceback" not in errors
         return monitor.returncode, shown
 
-    fly_on(6.0)
+    played.fly_on(6.0)
     status, shown = once("--timeout", "60", "--node", "/identifier")
     assert status == 1
     assert shown.startswith("/identifier  learning  not usable  tick ")
     assert "needed: 100 %" in shown
 
     change(player, {"supervision.min_fit": -20.0})
-    fly_on(4.0)  # noise costs the roll row one tick of its confirmation at 8.35 s
+    played.fly_on(4.0)  # noise costs the roll row one tick of its confirmation at 8.35 s
     status, shown = once("--timeout", "60", "--node", "/identifier")
     assert status == 0, shown
     assert shown.startswith("/identifier  converged  usable  tick ")
@@ -116,7 +124,7 @@ def test_the_verdict_follows_the_required_fit_and_the_end_of_the_flight(
         found = re.findall(r"  tick ([\d.]+) s$", output.read_text(), re.MULTILINE)
         return [float(t) for t in found]
 
-    play_until(lambda: len(ticks()) >= 3)
+    played.until(lambda: len(ticks()) >= 3)
     # the verdict expires
     assert wait_for(lambda: bool(SILENT.search(output.read_text()))), output.read_text()[-2000:]
     monitor.send_signal(signal.SIGTERM)

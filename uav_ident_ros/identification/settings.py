@@ -604,12 +604,17 @@ def _check_lengths(settings: Settings) -> None:
 def _check_consistency(settings: Settings) -> None:
     """Check the settings against each other: lengths, and combinations without meaning."""
     _check_lengths(settings)
-    structure = STRUCTURES[settings.structure]
     for name in settings.fixed_coefficients:
         try:
-            structure.index(name)
+            STRUCTURES[settings.structure].index(name)
         except ValueError as error:
             raise SettingsError(f"'fixed_coefficients': {error}") from None
+    _check_excitation(settings)
+    _check_signs(settings)
+    _check_estimator(settings)
+
+
+def _check_excitation(settings: Settings) -> None:
     low, high = settings.excitation.band
     if low >= high:
         _refuse("excitation.band", f"is [{low:g}, {high:g}]: write the lower frequency first")
@@ -620,6 +625,10 @@ def _check_consistency(settings: Settings) -> None:
             f"is {lead:g} s: stamps so far ahead of the Imu's are outliers; 'time_jump' and "
             f"'input_wait' allow {longest:g} s",
         )
+
+
+def _check_signs(settings: Settings) -> None:
+    structure = STRUCTURES[settings.structure]
     for entry in settings.supervision.expected_signs:
         if entry[:1] not in ("+", "-") or entry[1:] not in structure.names:
             _refuse(
@@ -627,7 +636,11 @@ def _check_consistency(settings: Settings) -> None:
                 f"has '{entry}': write + or - and a coefficient of structure "
                 f"'{structure.name}', as in '+pdot/da'",
             )
-    if settings.estimator == "gradient" and structure.has_flow:
+
+
+def _check_estimator(settings: Settings) -> None:
+    """Check that estimator, structure and filter go together."""
+    if settings.estimator == "gradient" and STRUCTURES[settings.structure].has_flow:
         _refuse(
             "estimator",
             "is 'gradient' and 'structure' is 'flight_dynamics', which is not linear "

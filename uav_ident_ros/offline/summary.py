@@ -15,6 +15,7 @@ import numpy as np
 
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.identification.delay import DelayEstimate
+from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.linearisation import Mode, level_modes
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.samples import NS
@@ -135,56 +136,79 @@ class Replayed:
     @cached_property
     def summary(self) -> dict[str, Any]:
         """Content of summary.json, in plain values."""
-        run, identifier = self.run, self.run.identifier
-        last, result, settings = run.estimates[-1], run.result(), run.inputs.settings
-        usable = np.mean([estimate.usable_rows for estimate in run.estimates], axis=0)
+        run = self.run
         content: dict[str, Any] = _json(
             {
                 "version": SUMMARY_VERSION,
                 "bag": self.name,
                 "ticks": len(run.estimates),
                 "first_tick_ns": run.estimates[0].t_ns,
-                "last_tick_ns": last.t_ns,
+                "last_tick_ns": run.estimates[-1].t_ns,
                 "frame_id": run.frame_id,
-                "inputs": {
-                    stream.name: {
-                        "topic": run.inputs.streams[stream.name],
-                        "type": stream.type_of(settings),
-                        **asdict(run.refusals(stream.name)),
-                    }
-                    for stream in STREAMS
-                    if stream.name in run.inputs.streams
-                },
-                "state": last.state,
-                "reason": last.reason,
-                "fault": run.fault,
-                "judged_ns": run.judged.t_ns,
-                "usable": not self.doubt,
-                "doubt": self.doubt,
-                "usable_rows": dict(zip(ROWS, run.judged.usable_rows, strict=True)),
-                "usable_share": dict(zip(ROWS, usable, strict=True)),
-                "gates": {
-                    name: cost._asdict()
-                    for name, cost in identifier.supervisor.gates.costs().items()
-                },
-                "implausible": [found.text for found in identifier.plausibility.noted.values()],
-                "delay": identifier.delay,
-                "delay_sigma": identifier.delay_estimate.sigma,
-                "delay_confidence": identifier.delay_estimate.confidence,
-                "servo_lag": _servo_lag(identifier.delays.estimate, identifier.lag),
+                "inputs": _inputs(run),
+                **self._verdict(),
+                **_signals(run.identifier),
                 "structure": run.structure.name,
-                "coefficients": {
-                    name: {"value": result.values[index], "sigma": result.sigma[index]}
-                    for name, index in zip(run.structure.names, run.structure.free, strict=True)
-                },
+                "coefficients": _coefficients(run),
                 "modes": [_mode(mode) for mode in self.modes],
                 "notes": self.notes,
                 "advice": [advice._asdict() for advice in advise(self.evidence)],
                 "prediction_fit": {windows: _fit(fit) for windows, fit in self.fits.items()},
-                "settings": settings.values(),
+                "settings": run.inputs.settings.values(),
             }
         )
         return content
+
+    def _verdict(self) -> dict[str, Any]:
+        """Return state and verdict at the end, and the share of the ticks with a usable row."""
+        run, last = self.run, self.run.estimates[-1]
+        usable = np.mean([estimate.usable_rows for estimate in run.estimates], axis=0)
+        return {
+            "state": last.state,
+            "reason": last.reason,
+            "fault": run.fault,
+            "judged_ns": run.judged.t_ns,
+            "usable": not self.doubt,
+            "doubt": self.doubt,
+            "usable_rows": dict(zip(ROWS, run.judged.usable_rows, strict=True)),
+            "usable_share": dict(zip(ROWS, usable, strict=True)),
+        }
+
+
+def _inputs(run: OfflineRun) -> dict[str, Any]:
+    """Return topic, type and counts of each stream that was read."""
+    topics, settings = run.inputs.streams, run.inputs.settings
+    return {
+        name: {
+            "topic": topics[name],
+            "type": stream.type_of(settings),
+            **asdict(run.refusals(name)),
+        }
+        for stream in STREAMS
+        if (name := stream.name) in topics
+    }
+
+
+def _signals(identifier: OnlineIdentifier) -> dict[str, Any]:
+    """Return what was found about the signals: gates, implausible ones, delay and lag."""
+    costs = identifier.supervisor.gates.costs()
+    return {
+        "gates": {name: cost._asdict() for name, cost in costs.items()},
+        "implausible": [found.text for found in identifier.plausibility.noted.values()],
+        "delay": identifier.delay,
+        "delay_sigma": identifier.delay_estimate.sigma,
+        "delay_confidence": identifier.delay_estimate.confidence,
+        "servo_lag": _servo_lag(identifier.delays.estimate, identifier.lag),
+    }
+
+
+def _coefficients(run: OfflineRun) -> dict[str, Any]:
+    """Return value and standard deviation of each free coefficient at the end."""
+    result = run.result()
+    return {
+        name: {"value": result.values[index], "sigma": result.sigma[index]}
+        for name, index in run.structure.places.items()
+    }
 
 
 def _servo_lag(found: DelayEstimate, in_use: float) -> dict[str, float] | None:
