@@ -46,7 +46,7 @@ from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.job import Job, reserved
 from uav_ident_ros.offline.parallel import work
 from uav_ident_ros.offline.run import OfflineRun, run_over
-from uav_ident_ros.offline.tables import duration_of, write_table
+from uav_ident_ros.offline.tables import duration_of, told, write_table
 
 RESULTS = ["coefficients.yaml", "estimates", "summary.json", "table.txt"]
 IMU_TYPE, NUMBER, FLAG = "sensor_msgs/msg/Imu", "std_msgs/msg/Float64", "std_msgs/msg/Bool"
@@ -230,6 +230,22 @@ def test_the_usable_share_is_printed_if_the_end_is_not_usable(replayed: Path) ->
     assert given in write_table(content | {"doubt": "still", "usable_share": shares})
     never = content | {"doubt": "still", "usable_share": dict.fromkeys(rows, 0.0)}
     assert "in the course" not in write_table(never)
+
+
+def test_the_reason_of_the_verdict_is_printed_once_with_its_cure(replayed: Path) -> None:
+    doubt, cure, other = "the delay is off by 60 ms", ", or estimate it", "the flight is short"
+    advice = [{"name": "", "text": text} for text in (other, f"{doubt}{cure}")]
+    content = summary(replayed) | {"state": "fault", "reason": doubt, "doubt": doubt}
+    printed = write_table(content | {"advice": advice})
+    assert "\nstate at the end: fault\n" in printed
+    lines = " ".join(printed.split())
+    assert lines.count(doubt) == 1
+    assert f"): {doubt}{cure} " in lines
+    assert lines.endswith(f"advice: {other}")
+    both = content | {"doubt": f"qdot is weak; {doubt}; rdot is weak", "advice": advice}
+    assert told(both) == (f"qdot is weak; {doubt}{cure}; rdot is weak", [other])
+    later = write_table(content | {"advice": advice, "state": "paused", "reason": "not armed"})
+    assert "\nstate at the end: paused (not armed)\n" in later
 
 
 def test_printed_results(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

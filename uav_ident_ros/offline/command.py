@@ -119,7 +119,8 @@ def _job(options: argparse.Namespace, bag: Path, name: str, folder: Path, *files
 def _one(options: argparse.Namespace, name: str, folder: Path) -> int:
     (bag,) = options.bags
     outcome = replay(_job(options, bag, name, folder), shown=True)
-    _warn(*outcome.warnings)
+    doubt = outcome.summary["doubt"] if outcome.summary else ""
+    _warn(*(text for text in outcome.warnings if not (doubt and text.endswith(doubt))))
     if outcome.summary:
         _print(f"{write_table(outcome.summary)}\n\nwritten to {folder}{os.sep}")
     return outcome.status

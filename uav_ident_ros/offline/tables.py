@@ -5,6 +5,7 @@ import math
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 from uav_ident_ros.commandline import LINE_LENGTH
@@ -165,9 +166,26 @@ def duration_of(summary: Mapping[str, Any]) -> float:
     return float((summary["ticks"] - 1) / summary["settings"]["update_rate"])
 
 
+def told(summary: Mapping[str, Any]) -> tuple[str, list[str]]:
+    """Return the doubt and the advice; a piece that begins with a reason of the doubt replaces it.
+
+    The reasons are separated by semicolons, which a reason may have, too.
+    """
+    doubt, advice = summary["doubt"], []
+    parts = doubt.split("; ") if doubt else []
+    reasons = ["; ".join(parts[i:j]) for i, j in combinations(range(len(parts) + 1), 2)]
+    for text in (entry["text"] for entry in summary["advice"]):
+        if repeated := max(filter(text.startswith, reasons), key=len, default=""):
+            doubt = doubt.replace(repeated, text)
+        else:
+            advice.append(text)
+    return doubt, advice
+
+
 def _heading(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield the flight, the settings, the inputs and the delay."""
     settings, reason = summary["settings"], summary["reason"]
+    reason = "" if reason == summary["doubt"] else reason  # the verdict has it
     yield f"{summary['bag']}: {duration_of(summary):.1f} s, {summary['ticks']} ticks"
     yield f"structure {settings['structure']}, estimator {settings['estimator']}"
     yield f"state at the end: {summary['state']}{f' ({reason})' if reason else ''}"
@@ -195,8 +213,8 @@ def _verdict(summary: Mapping[str, Any]) -> Iterator[str]:
     """Yield the verdict, the notes on the bag, and the advice."""
     rows = summary["usable_rows"].items()
     each = ", ".join(f"{row} {'usable' if usable else 'not'}" for row, usable in rows)
-    doubt = summary["doubt"]
-    yield f"verdict: not usable ({each}): {doubt}" if doubt else "verdict: usable"
+    doubt, advice = told(summary)
+    yield _filled("verdict", f"not usable ({each}): {doubt}" if doubt else "usable")
     if summary["judged_ns"] < summary["last_tick_ns"]:
         seconds = (summary["judged_ns"] - summary["first_tick_ns"]) * NS
         yield f"as of {seconds:.1f} s: nothing was learned after"
@@ -204,7 +222,10 @@ def _verdict(summary: Mapping[str, Any]) -> Iterator[str]:
     if doubt and any(share for _, share in shares):
         flown = ", ".join(f"{row} {100.0 * share:.0f} %" for row, share in shares)
         yield f"usable in the course of the flight: {flown} of the ticks"
-    remarks = [("note", text) for text in summary["notes"]]
-    remarks += [("advice", advice["text"]) for advice in summary["advice"]]
-    for word, text in remarks:
-        yield textwrap.fill(f"{word}: {text}", LINE_LENGTH, subsequent_indent="  ")
+    for word, texts in (("note", summary["notes"]), ("advice", advice)):
+        yield from (_filled(word, text) for text in texts)
+
+
+def _filled(word: str, text: str) -> str:
+    """Return a remark after its word, in lines."""
+    return textwrap.fill(f"{word}: {text}", LINE_LENGTH, subsequent_indent="  ")

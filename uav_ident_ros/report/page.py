@@ -27,6 +27,7 @@ from uav_ident_ros.offline.tables import (
     duration_of,
     fit_tables,
     modes_table,
+    told,
 )
 from uav_ident_ros.report import diagrams, tables
 from uav_ident_ros.report.charts import coefficient_charts, rate_charts, signal_charts, state_chart
@@ -149,7 +150,8 @@ _NAMES = re.compile(r'(?<=")p\d{4,}(?=")')
 
 def write_report(path: Path, replayed: Replayed) -> None:
     """Write the report of a replay; raises `BagError` or `BagWriteError`."""
-    summary, doubt = replayed.summary, replayed.doubt
+    summary = replayed.summary
+    doubt, advice = told(summary)
     state = f" ({summary['reason']})" if summary["reason"] and not doubt else ""
     text = render(
         [*sections(replayed)],
@@ -158,7 +160,7 @@ def write_report(path: Path, replayed: Replayed) -> None:
         usable=not doubt,
         verdict=f"not usable: {doubt}" if doubt else "usable",
         state=f"State at the end: {summary['state']}{state}.",
-        advice=[entry["text"] for entry in summary["advice"]],
+        advice=advice,
         notes=summary["notes"],
     )
     write_file(path, text)
