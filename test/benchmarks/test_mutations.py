@@ -65,7 +65,7 @@ def test_the_named_tests_exist() -> None:
 def test_rate_control_is_mutated_too(capsys: pytest.CaptureFixture[str]) -> None:
     assert mutations.main(["control", "--list"]) == 0
     listed = capsys.readouterr().out.splitlines()
-    assert {"control.laws.MAX_INTERVAL", "control.effectiveness.SURE"} <= {*listed}
+    assert {"control.laws.MAX_INTERVAL", "control.effectiveness.CERTAIN"} <= {*listed}
     for module in mutations.modules_of(mutations.CONTROL):
         assert not {*mutations.constants(module)} or mutations.tests_of(module), module
 

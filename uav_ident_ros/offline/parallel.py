@@ -43,9 +43,8 @@ Outcomes = Iterator[tuple[Job, Outcome | None]]
 def replay_all(
     jobs: Sequence[Job],  # The jobs; their folders must differ
     workers: int,  # Number of processes on this machine
-    # Address of a Dask scheduler whose workers run the jobs instead, if not empty; they need the
-    # same paths
-    scheduler: str,
+    # Address of a Dask scheduler whose workers run the jobs instead; they need the same paths
+    scheduler: str = "",
 ) -> list[Outcome]:
     """Run jobs in parallel, outcomes in their order; raises `BagError` without the scheduler."""
     outcomes: dict[Path, Outcome] = {}
