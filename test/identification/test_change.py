@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from uav_ident_ros.identification.estimators.change import ChangeDetector, _whitened
-from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.regression import Regression, layout
 from uav_ident_ros.identification.residuals import UNKNOWN_ANSWER
 from uav_ident_ros.identification.structure import CONSTANT_COLUMN, ROWS, STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import CoefficientChange
@@ -24,7 +24,7 @@ NO_ERROR, FREE = np.zeros((2, 3))
 
 
 def detector() -> ChangeDetector:
-    return ChangeDetector(STRUCTURE.mask, 15.0)
+    return ChangeDetector(STRUCTURE.mask, layout(STRUCTURE), 15.0)
 
 
 def swaying(ticks: int, seed: int = 2) -> tuple[FloatArray, FloatArray]:
@@ -63,7 +63,9 @@ class Monitor:
             y[:, 1] += more[k]
             if own.add(Regression.of(y, f, f, TICK / 10).means()):
                 rows = np.array([False, far[k], False])
-                changes = own.look(ELEVATOR, np.full((3, 4), sigma[k]), rows, error, answers)
+                changes = own.look(
+                    ELEVATOR, np.full(ELEVATOR.shape, sigma[k]), rows, error, answers
+                )
                 self.changes += changes
                 self.found += [(k, change.row, change.column) for change in changes]
 
@@ -172,11 +174,37 @@ def test_a_change_in_one_row_does_not_hide_that_in_another() -> None:
         y[:, 1] += 12.0 * de[tick] * (tick >= 1200)
         y[:, 0] -= 12.0 * da[tick] * (tick >= 1230)
         if own.add(Regression.of(y, f, f, TICK / 10).means()):
-            sigma = np.full((3, 4), 2.0 + 0.1 * max(tick - 1200, 0))
+            sigma = np.full(ELEVATOR.shape, 2.0 + 0.1 * max(tick - 1200, 0))
             usual = np.zeros(3, dtype=bool)
             changes = own.look(rows, sigma, usual, NO_ERROR, UNKNOWN_ANSWER)
             found += [change[:2] for change in changes]
     assert found[:2] == [(1, 8), (0, 10)]
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_a_change_shows_in_the_force_of_a_surface(share: float) -> None:
+    """A rudder's moment is nearly all by its side force, which is measured beside it."""
+    structure = STRUCTURES["flight_dynamics"]
+    problem, chance, found = layout(structure), np.random.default_rng(5), []
+    own = ChangeDetector(structure.mask, problem, 15.0)
+    moved_force = problem.index[3, problem.surfaces[1, 3]]
+    rows, sigma = np.zeros((problem.rows, problem.size)), np.zeros(structure.mask.shape)
+    rows[2, 9], rows[3, moved_force] = -2.0, 5.0
+    dr = lfilter([1.0], [1.0, -0.8], 0.03 * chance.normal(size=1400))
+    slope = np.diff(dr, prepend=0.0) / TICK
+    for k in range(1400):
+        f = np.zeros((10, problem.size))
+        f[:, 9], f[:, moved_force] = dr[k], slope[k]
+        y = (share if k >= 1200 else 1.0) * f @ rows.T + 0.3 * chance.normal(size=problem.rows)
+        if own.add(Regression.of(y, f, f, TICK / 10).means()):
+            usual = np.zeros(3, dtype=bool)
+            changes = own.look(rows, sigma, usual, NO_ERROR, UNKNOWN_ANSWER)
+            found += [(k, change) for change in changes]
+    assert bool(found) == (share < 1.0)
+    for detected, change in found[:1]:
+        assert 1200 < detected < 1300
+        assert (change.row, change.column) == (2, 9)
+        assert change.size == pytest.approx(1.0, rel=0.3)
 
 
 @pytest.mark.parametrize("share", [0.6, 1.5])
@@ -191,7 +219,7 @@ def test_a_change_of_a_whole_row_by_one_factor_is_detected(share: float) -> None
         y = (share if k >= 1200 else 1.0) * f @ row.T + 0.05 * chance.normal(size=3)
         if own.add(Regression.of(y, f, f, 0.005).means()):
             usual = np.zeros(3, dtype=bool)
-            changes = own.look(row, np.zeros((3, 4)), usual, NO_ERROR, UNKNOWN_ANSWER)
+            changes = own.look(row, np.zeros(row.shape), usual, NO_ERROR, UNKNOWN_ANSWER)
             found += [(k, change) for change in changes]
     (detected, change), *_ = found
     assert (change.row, change.column) == (1, None)

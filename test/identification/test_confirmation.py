@@ -25,7 +25,7 @@ class Flight:
     """Ticks with moving surfaces, in slow, strong gusts."""
 
     def __init__(self, seed: int = 1) -> None:
-        self.confirmed = Confirmation()
+        self.confirmed = Confirmation(LAYOUT)
         self._noise = Autoregression(3)
         self.max_age = MAX_AGE
         self.answers = np.zeros(3, dtype=bool)
@@ -62,11 +62,11 @@ class Flight:
 
     def _add(self, samples: RowSamples) -> None:
         white = RowSamples(self._noise.whiten(samples.signals, DT, restarted=self.restarted), DT)
-        main = MAIN_COLUMNS - INPUT_COLUMNS.start
-        effect = ESTIMATED[range(3), main][:, None] * white.f[range(3), :, LAYOUT.main]
+        coefficients = np.zeros((3, LAYOUT.size))
+        coefficients[:, INPUT_COLUMNS] = ESTIMATED
         variance = self._noise.variance
         self.confirmed.add(
-            white, effect, variance, self.max_age, self.answers, restarted=self.restarted
+            white, coefficients, variance, self.max_age, self.answers, restarted=self.restarted
         )
         self.restarted = False
 
@@ -166,8 +166,7 @@ def test_a_row_without_contradictions_is_unconfirmed_and_a_confirmed_one_stays_s
     flight.fly(120.0)
     flight.fly(60.0, 0.6)
     assert "contradicted: half of it" in flight.doubts()[ROLL]
-    for row in (ROLL, PITCH):
-        flight.confirmed.forget_contradictions(row)
+    flight.confirmed.forget_contradictions(np.array([True, True, False]))
     assert flight.doubts()[ROLL].startswith("pdot/da is unconfirmed")
     assert flight.doubts()[PITCH] == ""
 
@@ -218,6 +217,61 @@ def test_answers_to_gusts_within_a_sample_contradict_no_healthy_surface(spread: 
         learned = k * DT > 10.0  # both models of the past
         assert not (learned and any("contradicted" in doubt for doubt in flight.doubts()))
     assert flight.doubts() == ["", "", ""]
+
+
+FLOW = layout(STRUCTURES["flight_dynamics"])
+BY_FORCE = FLOW.index[3, FLOW.surfaces[1, 3]]
+"""Column of the rudder in the row of the side force."""
+RUDDER = np.zeros((FLOW.rows, FLOW.size))
+"""Estimate of a rudder whose moment is nearly all by its side force, in SI units."""
+RUDDER[YAW, MAIN_COLUMNS[YAW]], RUDDER[3, BY_FORCE] = -2.0, 5.0
+
+
+class RudderFlight:
+    """Flight with a moving rudder; the side force shows it three times as well as the moment."""
+
+    def __init__(self) -> None:
+        self.confirmed, self._noise = Confirmation(FLOW), Autoregression(FLOW.rows)
+        self._rng, self._u = np.random.default_rng(1), 0.0
+        self._restarted = True
+        self.confirmed.forget_contradictions(np.zeros(4, dtype=bool))  # All effects are known.
+
+    def fly(self, seconds: float, moment: float, force: float) -> str:
+        """Fly with these shares of the estimated effects; return the doubt about rdot."""
+        actual = RUDDER.copy()
+        actual[YAW] *= moment
+        actual[3] *= force
+        for _ in range(round(seconds / (BLOCK * DT))):
+            f = np.zeros((BLOCK, FLOW.size))
+            for k in range(BLOCK):
+                before, self._u = self._u, 0.8 * self._u + 0.03 * self._rng.normal()
+                f[k, MAIN_COLUMNS[YAW]], f[k, BY_FORCE] = self._u, (self._u - before) / DT
+            noise = self._rng.normal(size=(BLOCK, FLOW.rows)) * (0.1, 0.1, 0.1, 0.5, 0.5)
+            samples = Regression.of(f @ actual.T + noise, f, f, DT)
+            rows = RowSamples.of(samples, samples.residual(RUDDER), FLOW)
+            white = self._noise.whiten(rows.signals, DT, restarted=self._restarted)
+            self.confirmed.add(
+                RowSamples(white, DT), RUDDER, self._noise.variance, MAX_AGE,
+                np.zeros(3, dtype=bool), restarted=self._restarted,
+            )  # fmt: skip
+            self._restarted = False
+        return self.confirmed.doubt(YAW)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_the_side_force_contradicts_a_rudder_sooner_than_its_moment(share: float) -> None:
+    flight = RudderFlight()
+    assert flight.fly(30.0, 1.0, 1.0) == ""
+    assert "contradicted" not in flight.fly(2.0, share, 1.0)
+    assert flight.fly(20.0, 1.0, 1.0) == ""
+    remark = "half of it explains rdot better" if share else "rdot does not follow dr"
+    expected = f"rdot/dr is contradicted: {remark}; check the surface"
+    assert flight.fly(2.0, share, share) == expected
+
+
+def test_the_side_force_confirms_no_moment() -> None:
+    flight = RudderFlight()
+    assert flight.fly(60.0, 0.0, 1.0).startswith("rdot/dr is contradicted: rdot does not follow dr")
 
 
 TURN, REST = 3.0, 15.0

@@ -10,13 +10,13 @@ from flying import identified
 from verdict_flights import fly
 
 from uav_ident_ros.identification.estimators.model_error import LOADING, Losses, ModelError, _solved
-from uav_ident_ros.identification.regression import Regression, RowSamples, layout
-from uav_ident_ros.identification.structure import STRUCTURES
+from uav_ident_ros.identification.regression import Layout, Regression, RowSamples, layout
+from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, STRUCTURES
 
 STRUCTURE = STRUCTURES["augmented"]
 LAYOUT = layout(STRUCTURE)
 DT, EVERYWHERE, OPEN_LOOP = 0.05, np.ones(3), np.zeros(3)
-ROLL_RATE, YAW_RATE, AILERON = 5, 7, 10
+ROLL_RATE, YAW_RATE, RUDDER, AILERON = 5, 7, 9, 10
 YAW = 2
 DAMPING, EFFECT = -6.0, 40.0
 UNDAMPED = np.zeros(3)
@@ -68,6 +68,13 @@ def rolled(
     return by_aileron(u, pdot, p[:-1])
 
 
+def known(effect: np.ndarray = KNOWN, places: Layout = LAYOUT) -> np.ndarray:
+    """Return coefficients of the regression problem with these main control derivatives, (3,)."""
+    coefficients = np.zeros((places.rows, places.size))
+    coefficients[MAIN_DERIVATIVES] = effect
+    return coefficients
+
+
 def shares(
     samples: RowSamples,
     error_model: ModelError,
@@ -81,7 +88,7 @@ def shares(
     for k in range(0, samples.count, 2):
         part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
         error_model.add(
-            part, EVERYWHERE, ratio, 0.0, effect,
+            part, EVERYWHERE, ratio, 0.0, known(effect), force_is_known=False,
             restarted=k == 0, settled=settled, injected=injected,
         )  # fmt: skip
         found.append(error_model.share)
@@ -232,7 +239,9 @@ def test_the_model_error_stays_while_no_row_is_learned() -> None:
     found = shares(rolled(0.015, seconds=30.0), error_model)[-1]
     quiet = rolled(seconds=2.0)
     for _ in range(60):
-        error_model.add(quiet, np.zeros(3), OPEN_LOOP, 0.0, KNOWN, restarted=False)
+        error_model.add(
+            quiet, np.zeros(3), OPEN_LOOP, 0.0, known(), force_is_known=False, restarted=False
+        )
     assert error_model.share == pytest.approx(found)
     assert error_model.share[0] > 0.1
 
@@ -243,6 +252,53 @@ def test_an_aileron_without_lag_or_saturation_has_no_model_error(noise: float, s
     error_model = ModelError(LAYOUT)
     assert shares(rolled(noise=noise, seed=seed), error_model)[-1, 0] < 0.01
     assert error_model.relative_error(KNOWN_ROWS, UNDAMPED)[0] < 0.06 * noise + 0.02
+
+
+def by_side_force(
+    seed: int, travel: float = 1.0, play: float = 0.0, is_known: bool = True
+) -> ModelError:
+    """Return the model error after a flight whose rudder makes a force, and hardly a moment."""
+    places, rng = layout(STRUCTURES["flight_dynamics"]), np.random.default_rng(seed)
+    _, entry, _ = places.surfaces[:, 3]
+    t = DT * np.arange(round(60.0 / DT))
+    u = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
+    moved, behind = np.zeros(len(u)), 0.0
+    for k, command in enumerate(u):
+        moved[k] = behind = float(np.clip(behind, command - 0.5 * play, command + 0.5 * play))
+    slopes = np.gradient(u, DT), np.gradient(np.clip(moved, -travel, travel), DT)
+    y, f = np.zeros((len(u), places.rows)), np.zeros((len(u), places.size))
+    f[:, RUDDER], f[:, places.index[3, entry]] = u, slopes[0]
+    y[:, YAW] = 0.1 * rng.normal(size=len(u))
+    y[:, 3] = 10.0 * slopes[1] + 0.3 * rng.normal(size=len(u))
+    coefficients = known(np.array([0.0, 0.0, -0.1]), places)
+    coefficients[3, places.index[3, entry]] = (
+        10.0 * (slopes[0] @ slopes[1]) / (slopes[0] @ slopes[0])
+    )
+    samples = Regression.of(y, f, f, DT)
+    rows = RowSamples.of(samples, samples.residual(coefficients), places)
+    error_model = ModelError(places)
+    for k in range(0, rows.count, 2):
+        part = RowSamples(rows.signals[:, k : k + 2], DT)
+        error_model.add(
+            part,
+            EVERYWHERE,
+            OPEN_LOOP,
+            0.0,
+            coefficients,
+            force_is_known=is_known,
+            restarted=k == 0,
+        )
+    return error_model
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_side_force_of_a_rudder_shows_its_saturation_and_backlash(seed: int) -> None:
+    """Its moment does not: noise is many times as large."""
+    assert by_side_force(seed, travel=0.05).share[YAW] > 0.2
+    assert by_side_force(seed, play=0.04).lost[YAW] > 0.1
+    for flown in (by_side_force(seed), by_side_force(seed, travel=0.05, is_known=False)):
+        assert flown.share.tolist() == [0.0, 0.0, 0.0]
+    assert by_side_force(seed).lost.tolist() == pytest.approx([0.0, 0.0, 0.0], abs=0.03)
 
 
 @pytest.mark.parametrize("play", [0.02, 0.04])
@@ -342,10 +398,18 @@ def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:
     )
 
     def height(roll_ratio: float) -> float:
-        error_model = ModelError(places)
+        error_model, linear = ModelError(places), known(places=places)
         for k in range(0, samples.count, 2):
             part = RowSamples(signals[:, k : k + 2], DT)
-            error_model.add(part, EVERYWHERE, OPEN_LOOP, roll_ratio, KNOWN, restarted=k == 0)
+            error_model.add(
+                part,
+                EVERYWHERE,
+                OPEN_LOOP,
+                roll_ratio,
+                linear,
+                force_is_known=False,
+                restarted=k == 0,
+            )
         return error_model.height
 
     assert height(0.0) == pytest.approx(0.5, rel=0.2)

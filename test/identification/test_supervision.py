@@ -120,7 +120,7 @@ def test_evidence_against_an_unknown_estimate_does_not_count_against_a_known_one
     """The estimate of a cold start is noise, which the flight contradicts."""
     identifier, _ = deepcopy(learned())
     supervisor, estimator = identifier.supervisor, identifier.estimator
-    supervisor.confirmed._odds[1:, 0] = -LARGEST_ODDS
+    supervisor.confirmed._odds[1:, supervisor.confirmed._tested == 0] = -LARGEST_ODDS
 
     def doubt(sigma: FloatArray) -> str:
         running = identifier.running_fit

@@ -522,11 +522,9 @@ class OnlineIdentifier:
             self.plausibility.exchanged.add(samples)
         rows, white = estimator.conditioned(samples)
         weight = supervisor.weigh(rows.residual[: len(ROWS)].T, samples.time, estimator.clear)
-        inputs = white.f[MAIN_DERIVATIVES[0], :, estimator.information.layout.main]
-        effect = estimator.linear[MAIN_DERIVATIVES][:, None] * inputs
         supervisor.confirmed.add(
             white,
-            effect,
+            estimator.linear,
             estimator.noise.variance,
             self.settings.supervision.max_age,
             estimator.may_answer,

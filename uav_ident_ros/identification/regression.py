@@ -96,6 +96,26 @@ class Layout:
         return [row[:, 1].tolist().index(RATE_COLUMNS.start) for row in places]
 
     @cached_property
+    def surfaces(self) -> NDArray[np.intp]:
+        """Row, entry, and moment row of each effect of the main inputs, (3, 3 ... 4).
+
+        Moments come first. The side force of the rudder, in a row of its own, is part of the same
+        effect: it is that of the fin. The elevator's lift is small beside that of the wing.
+        """
+        effects = [(i, entry, i) for i, entry in enumerate(self.main.tolist())]
+        for row in range(len(ROWS), self.rows)[:1]:
+            for entry in np.flatnonzero(self.used[row]).tolist():
+                moment = np.flatnonzero(self.place[row, entry, 1] == MAIN_COLUMNS)
+                effects += [(row, entry, i) for i in moment.tolist()]
+        return np.array(effects, dtype=np.intp).T
+
+    @cached_property
+    def effects(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows and columns of the structure that the effects of `surfaces` estimate."""
+        row, entry, _ = self.surfaces
+        return self.place[row, entry, 0], self.place[row, entry, 1]
+
+    @cached_property
     def signals(self) -> tuple[NDArray[np.intp], FloatArray]:
         """Columns of `Regression.signals` in `RowSamples`, (rows, 2 + 2 k), and their factors.
 

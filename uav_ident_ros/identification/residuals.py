@@ -317,17 +317,30 @@ class Confirmation:
     surface. The regression's filter spreads a gust over two samples, which leaves a correlation of
     up to 0.6 between neighbours in the whitened residual. The size of the effect is therefore
     judged by a prediction over two samples, which is weaker; whether there is any, over one.
+
+    With flow angles a part of the rudder's moment is by its side force, which is measured: a T37's
+    rudder moves the residual of rdot less than noise does, that of ay three times as much. The
+    moment, or both together, confirm the rudder. Each may contradict it: a load changes the moment
+    and not the force.
     """
 
-    def __init__(self) -> None:
-        self._odds: FloatArray = np.zeros((len(OTHER_EFFECTS), len(ROWS)))
-        self._effects = Autoregression(len(ROWS))
-        self._innovation: FloatArray = np.zeros((len(ROWS), 1))  # Last innovation of the effects
+    def __init__(self, layout: Layout) -> None:
+        self._rows, self._entries, self._moments = layout.surfaces
+        self._columns = layout.index[self._rows, self._entries]
+        count = len(self._rows)
+        self._known_forces: BoolArray = np.zeros(count - len(ROWS), dtype=bool)
+        # By the moments, by the forces, and by both together; the moment row of each
+        self._tested = np.append(self._moments, range(len(ROWS)))
+        # Which effects add to both together, (effects, 3)
+        self._adds = 1.0 * (self._moments[:, None] == range(len(ROWS)))
+        self._odds: FloatArray = np.zeros((len(OTHER_EFFECTS), len(self._tested)))
+        self._effects = Autoregression(count)
+        self._innovation: FloatArray = np.zeros((count, 1))  # Last innovation of the effects
         self._now = 0.0  # Time since the start, s
         # Evidence of the last `INDEPENDENT_TIME` that the surface has an effect at all
         self._recent: FloatArray = np.zeros(len(ROWS))
         # Squared residuals of that time, times dt, by the estimated effects and by each other pair
-        self._squares: FloatArray = np.zeros((len(_LEFT), len(ROWS)))
+        self._squares: FloatArray = np.zeros((len(_LEFT), count))
         self._squares_time = 0.0
         self._moved = [-math.inf] * len(ROWS)  # Last time that reached the bound, s
         # Start of each turn of the surface, and the rest before it, s
@@ -335,22 +348,28 @@ class Confirmation:
 
     def forget(self, row: int) -> None:
         """Clear the evidence of a row whose derivatives are learned anew."""
-        self._odds[:, row] = 0.0
+        self._odds[:, self._tested == row] = 0.0
         self._moved[row] = -math.inf
         self._turns[row].clear()
 
-    def forget_contradictions(self, row: int) -> None:
-        """Clear the evidence against the size of a row's main derivative.
+    def forget_contradictions(self, unknown: BoolArray) -> None:
+        """Clear the evidence against the size of those of `Layout.effects` that are `unknown`.
 
         An estimate that is not known has no size that the flight could contradict. Evidence against
-        the noise of a cold start would count against the later estimate for half a minute.
+        the noise of a cold start would count against the later estimate for half a minute. A force
+        that is not known is no evidence at all.
         """
-        self._odds[1:, row] = np.maximum(self._odds[1:, row], 0.0)
+        self._known_forces = ~unknown[len(ROWS) :]
+        forces = slice(len(ROWS), len(unknown))
+        self._odds[:, forces] *= self._known_forces
+        for row in np.flatnonzero(unknown[: len(ROWS)]).tolist():
+            own = self._tested == row
+            self._odds[1:, own] = np.maximum(self._odds[1:, own], 0.0)
 
     def add(
         self,
         white: RowSamples,
-        effect: FloatArray,  # (3, m) Estimated effects of the main inputs in the samples
+        coefficients: FloatArray,  # (rows, c) Of the regression problem
         variance: FloatArray,  # (rows,) Of the innovations
         max_age: float,  # Time in which a confirmation fades at rest, s; 0: never
         may_answer: BoolArray,  # (3,) Whether the main input may be feedback
@@ -358,13 +377,17 @@ class Confirmation:
         restarted: bool,  # Whether the first sample does not continue the last
     ) -> None:
         """Add whitened samples to the evidence."""
+        effect = coefficients[self._rows, self._columns][:, None]
+        effect = effect * white.f[self._rows, :, self._entries]
+        may_answer = may_answer[self._moments]
         new = self._effects.whiten(effect[..., None], white.dt, restarted=restarted)[..., 0]
         before = np.hstack((self._innovation * (not restarted), new[:, :-1]))
         self._innovation = new[:, -1:]
         effect = effect - new * may_answer[:, None]
         late = self._effects.weights[:, :1] * before * may_answer[:, None]
-        estimated = white.residual[: len(ROWS)]
-        explained = white.y[: len(ROWS)] - estimated  # by the whole row
+        estimated = white.residual[self._rows]
+        explained = white.y[self._rows] - estimated  # by the whole row
+        explained[len(ROWS) :] = 0.0  # An inertia changes no force.
         residual = estimated + _LEFT[:, 0] * (effect - _SIZED * late) + _LEFT[:, 1] * explained
         squares = np.add.reduce(residual * residual, axis=2)
         time = effect.shape[1] * white.dt
@@ -374,10 +397,15 @@ class Confirmation:
         self._squares_time = keep * self._squares_time + time
         # The residual of the best hypothesis is noise, too, where it exceeds the usual noise.
         least = np.minimum.reduce(self._squares) / self._squares_time
-        noise = np.maximum(np.maximum(variance[: len(ROWS)], least), NO_VARIANCE)
+        noise = np.maximum(np.maximum(variance[self._rows], least), NO_VARIANCE)
         evidence = 0.5 * (squares[1:] - squares[0]) / noise
-        self._odds = np.clip(self._odds + evidence, -LARGEST_ODDS, LARGEST_ODDS)
-        self._recent = np.clip(keep * self._recent + evidence[0], -LARGEST_ODDS, LARGEST_ODDS)
+        # The past does not predict the rudder's slope, which the row of ay follows.
+        evidence[:, len(ROWS) :] *= self._known_forces & ~may_answer[len(ROWS) :]
+        together = evidence @ self._adds
+        self._odds += np.hstack((evidence, together))
+        self._odds = np.clip(self._odds, -LARGEST_ODDS, LARGEST_ODDS)
+        recent = keep * self._recent + together[0]
+        self._recent = np.clip(recent, -LARGEST_ODDS, LARGEST_ODDS)
         for i, odds in enumerate(self._recent.tolist()):
             if odds == LARGEST_ODDS:
                 rested, self._moved[i] = self._now - self._moved[i], self._now
@@ -399,19 +427,21 @@ class Confirmation:
             while turns and self._now - turns[0][0] > MEMORY:
                 turns.popleft()
             age = max_age + max((rested for _, rested in turns), default=0.0)
-            self._odds[0, i] *= limit ** (time / age)
-            self._odds[1:, i] *= limit ** (time / max(age, MEMORY))
+            own = self._tested == i
+            self._odds[0, own] *= limit ** (time / age)
+            self._odds[1:, own] *= limit ** (time / max(age, MEMORY))
 
     def doubt(self, row: int) -> str:
         """Return why a row's main control derivative is not confirmed; empty if it is."""
-        odds: list[float] = self._odds[:, row].tolist()
-        if min(odds) >= CONFIRMED:
-            return ""
         name, surface = ROWS[row], MAIN_INPUTS[ROWS[row]]
-        for against, remark in zip(odds, OTHER_EFFECTS.values(), strict=True):
+        least: list[float] = self._odds[:, self._tested == row].min(axis=1).tolist()
+        for against, remark in zip(least, OTHER_EFFECTS.values(), strict=True):
             if against <= -CONFIRMED:
                 found = remark.format(row=name, surface=surface)
                 return f"{name}/{surface} is contradicted: {found}"
+        by_moment, together = self._odds[:, [row, row - len(ROWS)]].min(axis=0)
+        if max(by_moment, together) >= CONFIRMED:
+            return ""
         return (
             f"{name}/{surface} is unconfirmed: {surface} has moved too little of late to exclude "
             f"half and twice of it; move {surface}"

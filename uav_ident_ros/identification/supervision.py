@@ -22,6 +22,7 @@ from uav_ident_ros.identification.gates import (
 )
 from uav_ident_ros.identification.model import IdentifiedModel, bounded
 from uav_ident_ros.identification.prediction import HORIZONS
+from uav_ident_ros.identification.regression import layout
 from uav_ident_ros.identification.residuals import Confirmation
 from uav_ident_ros.identification.sampling import Block, join
 from uav_ident_ros.identification.scales import LONG_MEMORY, MEMORY, OUTLYING, SHORT_MEMORY
@@ -187,7 +188,7 @@ class Supervisor:
         self._usual_time = [0.0] * len(ROWS)  # Time over which they were taken, s
         self._within: BoolArray = np.ones(3, dtype=bool)
         self._learned: BoolArray = np.ones(3, dtype=bool)
-        self.confirmed = Confirmation()  # Of the main control derivatives, by the flight
+        self.confirmed = Confirmation(layout(self._structure))
         self._sigma: FloatArray = np.full(self._structure.mask.shape, np.inf)
         # Reason why a controller may not use each row; empty where it is usable
         self.verdict: tuple[str, ...] = ("",) * len(ROWS)
@@ -285,9 +286,10 @@ class Supervisor:
             _unknown_input(settings, i, main.item(i), spread.item(i), estimator.answers)
             for i in range(len(ROWS))
         ]
-        for i, doubt in enumerate(unknown):
-            if doubt:
-                self.confirmed.forget_contradictions(i)
+        places = layout(self._structure).effects
+        effects, spreads = coefficients[places], sigma[places]
+        known = (np.abs(effects) >= settings.min_t_ratio * spreads) & (effects != 0.0)
+        self.confirmed.forget_contradictions(~known)
         relearning = self._relearned(t, coefficients, sigma)
 
         def of_input(i: int) -> str:

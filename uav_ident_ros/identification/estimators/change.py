@@ -20,7 +20,7 @@ import numpy as np
 
 from uav_ident_ros.identification.estimators.information import MODEL_ERROR, POWERLESS
 from uav_ident_ros.identification.prediction import HORIZONS
-from uav_ident_ros.identification.regression import Regression
+from uav_ident_ros.identification.regression import Layout, Regression
 from uav_ident_ros.identification.residuals import by_plane
 from uav_ident_ros.identification.scales import (
     DOUBTLESS,
@@ -38,7 +38,6 @@ from uav_ident_ros.identification.structure import (
     INPUTS,
     MAIN_COLUMNS,
     MAIN_DERIVATIVES,
-    MAIN_PLACES,
     ROWS,
     BoolArray,
     FloatArray,
@@ -66,30 +65,48 @@ class Change(NamedTuple):
     after: Regression  # Samples after the change, very nearly
 
 
+class Candidates:
+    """What may change: control derivatives, the forces of surfaces, and each row as a whole.
+
+    Each array has an entry for each of them; those of the problem have none for whole rows.
+    """
+
+    def __init__(self, free: BoolArray, layout: Layout) -> None:
+        # Throttle acts through the propeller's speed: its derivative has no single true value.
+        surfaces = [label != "dth" for label in INPUTS]
+        own, column = np.nonzero(free[: len(ROWS), INPUT_COLUMNS] & surfaces)
+        column += INPUT_COLUMNS.start
+        force, entry, moment = layout.surfaces[:, len(ROWS) :]
+        whole = np.arange(len(ROWS))
+        self.row = np.concatenate((own, moment, whole))  # The moment row that changes
+        self.shown_by = np.concatenate((own, force, whole))  # Row of the problem that shows it
+        self.is_surface = np.arange(len(self.row)) < len(own) + len(moment)
+        # Place of the regressor in the problem, and of the derivative in the structure
+        self.regressor = np.append(own, force), np.append(column, layout.index[force, entry])
+        self.place = np.append(own, force), np.append(column, MAIN_COLUMNS[moment])
+        # Whether it is the effect of the row's main input
+        self.is_main = self.is_surface.copy()
+        self.is_main[: len(own)] = column == MAIN_COLUMNS[own]
+        # Of each candidate the surfaces in the row that shows it, (candidates, candidates)
+        self.rivals = (self.shown_by[:, None] == self.shown_by) & self.is_surface
+
+
 class ChangeDetector:
     """Detector of changes of a row's coefficients, one at a time."""
 
     def __init__(
         self,
-        free: BoolArray,  # (3, n) Coefficients that are estimated
+        free: BoolArray,  # (R, n) Coefficients that are estimated
+        layout: Layout,
         cutoff: float,  # Of the regression's filter, rad/s
     ) -> None:
         self._cutoff = cutoff
-        # Throttle acts through the propeller's speed: its derivative has no single true value.
-        surfaces = [label != "dth" for label in INPUTS]
-        self._places = row, column = np.nonzero(free[:, INPUT_COLUMNS] & surfaces)
-        # Candidates: the control derivatives, then each row as a whole
-        self._row = np.append(row, range(len(ROWS)))
-        self._column = INPUT_COLUMNS.start + column
-        self._surfaces = np.arange(len(self._row)) < len(column)
-        self._main = np.append(column == MAIN_PLACES[row], np.zeros(len(ROWS), dtype=bool))
-        # Of each candidate the control derivatives of its row, (candidates, candidates)
-        self._rivals = (self._row[:, None] == self._row) & self._surfaces
-        self._has_constant = free[:, CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
+        self._candidates = Candidates(free, layout)
+        self._has_constant = free[: len(ROWS), CONSTANT_COLUMN : CONSTANT_COLUMN + 1].any(axis=1)
         self._window: deque[Regression] = deque()
         self._time = self._since_look = 0.0
         # Of each candidate: discounted sums of squared slope times power, and of its input's power
-        self._energy = self._power = np.zeros(len(self._row))
+        self._energy = self._power = np.zeros(len(self._candidates.row))
         # Of the tests in the last `WINDOW_TIME`: energy, power, standard deviations
         self._newest: deque[tuple[FloatArray, FloatArray, FloatArray]] = deque()
         self._wait: FloatArray = np.zeros(len(ROWS))  # Until the window follows the last change, s
@@ -118,9 +135,8 @@ class ChangeDetector:
     def look(
         self,
         coefficients: FloatArray,  # (rows, c) The whitened estimate, as the residuals are
-        # (3, 4) Published standard deviations of the control derivatives: a slope within them is
-        # learning, no change. The smaller of those now and before the window counts: a change
-        # increases the present ones.
+        # (R, n) Published standard deviations: a slope within them is learning, no change. The
+        # smaller of those now and before the window counts: a change increases the present ones.
         sigma: FloatArray,
         # (3,) Rows whose residual is far outside its usual size, and that therefore learn little
         outlying: BoolArray,
@@ -136,6 +152,10 @@ class ChangeDetector:
         It has also changed where its mean is all that is unusual in an outlying residual.
         Where a whole row explains clearly more than each control derivative, the row has changed.
 
+        A surface changes its moment and its force alike, and the row that shows more of it is
+        taken. With flow angles the moment by its force is in the measured force already, and what
+        is left of a rudder's moment may be less than the noise.
+
         A change explains more than all else together, since an autopilot's answers to a storm
         explain up to 0.4. An input of which a share S answers disturbances explains at most S of
         them (Cauchy and Schwarz). Of a main control derivative any doubtless excess is enough, if
@@ -145,41 +165,35 @@ class ChangeDetector:
         newest = self._window[-1]
         signals = np.concatenate([samples.signals for samples in self._window])
         window = Regression(signals, newest.rows, newest.dt)
-        left_over = window.residual(coefficients)[:, : len(ROWS)]
+        left_over = window.residual(coefficients)
         residual = _whitened(left_over, window.dt)
-        rows = coefficients[: len(ROWS)]
-        moved = np.hstack((window.f[:, self._column], window.z @ rows.T))
+        rows, candidates = coefficients[: len(ROWS)], self._candidates
+        moved = np.hstack((window.f[:, candidates.regressor[1]], window.z @ rows.T))
         regressors = _whitened(moved, window.dt)
-        size, power, explained, noise = _fitted(regressors, residual[:, self._row])
-        known, sigma = self._known(rows, sigma, noise)
+        size, power, explained, noise = _fitted(regressors, residual[:, candidates.shown_by])
+        known, sigma = self._known(coefficients, sigma, noise)
         follows = self._wait <= 0.0
-        power = np.where(follows[self._row], power, 0.0)
+        power = np.where(follows[candidates.row], power, 0.0)
         self._newest.append((size * size * power, power, sigma))
         unsure = np.hypot(np.minimum(self._newest[0][2], sigma), MODEL_ERROR * known)
         error = np.hypot(unsure, self._usual())
         # A change needs a derivative that was known before.
-        sure = (np.abs(size) > SURE * error) & (known > SURE * unsure) & follows[self._row]
+        sure = (np.abs(size) > SURE * error) & (known > SURE * unsure) & follows[candidates.row]
         # No failure exceeds a reversed surface; a damper's answers to gusts appear to.
         sure &= np.abs(size) <= REVERSED * known + SURE * unsure
         # A whole row keeps its sign and a part of its moment.
-        sure &= self._surfaces | (known + size > SURE * unsure)
+        sure &= candidates.is_surface | (known + size > SURE * unsure)
         left = np.maximum(1.0 - explained, ROUNDING)
-        share = self._answering(answers, window, left_over)[self._row]
-        beyond = self._main & (left * np.exp(DOUBTLESS**2 / len(residual)) < 1.0 - share)
-        error = np.hypot(error, model_error[self._row] * known)
+        share = self._answering(answers, window, left_over)[candidates.row]
+        beyond = candidates.is_main & (left * np.exp(DOUBTLESS**2 / len(residual)) < 1.0 - share)
+        error = np.hypot(error, model_error[candidates.row] * known)
         clear = (explained >= left) | beyond & (np.abs(size) > DOUBTLESS * error)
         clear &= sure & ~self._is_rivalled(left, sure, len(residual))
         changes = []
-        for row in sorted({*self._row[clear].tolist()}):
-            best = int(np.where(clear & (self._row == row), explained, 0.0).argmax())
-            column = int(self._column[best]) if self._surfaces[best] else None
-            by, first, left_by_slope = _since(regressors[:, best], residual[:, row])
-            step, passed, left_by_step = self._step(residual[:, row], window.dt)
-            beaten = np.log(left_by_slope / left_by_step)
-            if self._has_constant[row] and len(residual) * beaten > DOUBTLESS**2:
-                column, by, first = CONSTANT_COLUMN, step, passed
-            after = Regression(signals[first:], window.rows, window.dt)
-            changes.append(Change(row, column, by, after))
+        for row in sorted({*candidates.row[clear].tolist()}):
+            best = int(np.where(clear & (candidates.row == row), explained, 0.0).argmax())
+            change = self._change(best, coefficients, window, regressors[:, best], residual)
+            changes += [change] if change else []
         explained_rows = [change.row for change in changes]
         others = outlying & self._has_constant & follows
         others[explained_rows] = False
@@ -187,19 +201,47 @@ class ChangeDetector:
         self._begin_anew([change.row for change in changes])
         return changes
 
+    def _change(
+        self,
+        best: int,  # Of the candidates
+        coefficients: FloatArray,
+        window: Regression,
+        regressor: FloatArray,  # (m - 1,) Of that candidate, whitened
+        residual: FloatArray,  # (m - 1, rows) Whitened
+    ) -> Change | None:
+        """Return the change of a candidate, or of the constant; None if a force has stepped."""
+        candidates = self._candidates
+        row, shown_by = (int(rows[best]) for rows in (candidates.row, candidates.shown_by))
+        size, first, left_by_slope = _since(regressor, residual[:, shown_by])
+        column: int | None = None
+        if candidates.is_surface[best]:
+            column = int(candidates.place[1][best])
+            # The same share of its moment is lost as of its force.
+            effect = coefficients[shown_by, candidates.regressor[1][best]]
+            size *= coefficients[row, column] / effect
+        step, passed, left_by_step = self._step(residual[:, shown_by], window.dt)
+        beaten = len(residual) * np.log(left_by_slope / left_by_step)
+        if self._has_constant[row] and beaten > DOUBTLESS**2:
+            if shown_by != row:
+                return None
+            column, size, first = CONSTANT_COLUMN, step, passed
+        after = Regression(window.signals[first:], window.rows, window.dt)
+        return Change(row, column, size, after)
+
     def _known(
-        self, rows: FloatArray, sigma: FloatArray, noise: FloatArray
+        self, coefficients: FloatArray, sigma: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return magnitude and standard deviation of each candidate; of whole rows relative ones.
 
         A row's sigma has two parts: its main derivative's, and that of its factor by the noise.
         """
-        main = rows[MAIN_DERIVATIVES]
-        relative = _ratio(sigma[range(len(ROWS)), MAIN_PLACES], np.abs(main))
+        main = coefficients[MAIN_DERIVATIVES]
+        relative = _ratio(sigma[MAIN_DERIVATIVES], np.abs(main))
         relative[main == 0.0] = np.inf
-        known = np.abs(rows[self._places[0], self._column])
-        of_rows = np.hypot(relative, noise[~self._surfaces])
-        return np.append(known, np.ones(len(ROWS))), np.append(sigma[self._places], of_rows)
+        known = np.abs(coefficients[self._candidates.regressor])
+        of_rows = np.hypot(relative, noise[~self._candidates.is_surface])
+        sigma = np.append(sigma[self._candidates.place], of_rows)
+        return np.append(known, np.ones(len(ROWS))), sigma
 
     def _is_rivalled(self, left: FloatArray, sure: BoolArray, count: int) -> BoolArray:
         """Return which changes another candidate explains better.
@@ -207,9 +249,10 @@ class ChangeDetector:
         A residual that another input explains better, even one of unknown effect, is no change. A
         surface excited alone makes nearly all of its row: it has changed, not the row.
         """
-        rivals = np.minimum.reduce(np.where(self._rivals & ~sure, left, 1.0), axis=1)
-        surface = np.minimum.reduce(np.where(self._rivals, left, 1.0), axis=1)
-        row_beaten = ~self._surfaces & (count * np.log(surface / left) <= DOUBTLESS**2)
+        beside, is_surface = self._candidates.rivals, self._candidates.is_surface
+        rivals = np.minimum.reduce(np.where(beside & ~sure, left, 1.0), axis=1)
+        surface = np.minimum.reduce(np.where(beside, left, 1.0), axis=1)
+        row_beaten = ~is_surface & (count * np.log(surface / left) <= DOUBTLESS**2)
         return np.asarray((count * np.log(left / rivals) > OUTLYING) | row_beaten)
 
     def _answering(
@@ -223,7 +266,7 @@ class ChangeDetector:
     def _begin_anew(self, rows: list[int]) -> None:
         """Leave rows out until the window contains no more of their change."""
         self._wait[rows] = self._time
-        own = np.isin(self._row, rows)
+        own = np.isin(self._candidates.row, rows)
         for energy, power, sigma in self._newest:
             energy[own] = power[own] = 0.0
             sigma[own] = np.inf

@@ -100,24 +100,23 @@ class Losses(NamedTuple):
 
     @property
     def saturation(self) -> FloatArray:
-        """Loss of each moment row by saturation, less one sigma, by all pairs, (3,).
+        """Loss of each row by saturation, less one sigma, by all pairs, (rows,).
 
         The better determined solution counts. An effect that grows with the deflection, as by a
         dead band, counts alike. Saturation and backlash of opposite signs are nearly a straight
         line: then the rest counts.
         """
-        rows = range(len(ROWS))
-        curved, error = (a[: len(ROWS), _WITH_SATURATION, 0] for a in (self.sure, self.sigma))
-        backlash, size = self.found[: len(ROWS), -1, 1], np.abs(curved)
+        curved, error = (a[:, _WITH_SATURATION, 0] for a in (self.sure, self.sigma))
+        backlash, size = self.found[:, -1, 1], np.abs(curved)
         straight = np.clip(-backlash * np.sign(curved[:, -1]), 0.0, size[:, -1])
         size[:, -1] -= straight
-        better = error.argmin(axis=1)
-        return np.asarray(size[rows, better] - error[rows, better])
+        better = range(len(error)), error.argmin(axis=1)
+        return np.asarray(size[better] - error[better])
 
     @property
     def backlash(self) -> FloatArray:
-        """Loss of each moment row by backlash, beyond its own standard deviation, (3,), 0 ... 1."""
-        found, sigma = self.found[: len(ROWS), -1, 1], self.sigma[: len(ROWS), -1, 1]
+        """Loss of each row by backlash, beyond its own standard deviation, (rows,), 0 ... 1."""
+        found, sigma = self.found[:, -1, 1], self.sigma[:, -1, 1]
         beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
         return np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)
 
@@ -126,11 +125,17 @@ class ModelError:
     """Model error of the main input of each moment row, and height of the accelerometer."""
 
     def __init__(self, layout: Layout) -> None:
-        self._layout, self._entries = layout, [*layout.main, *layout.rolling]
+        self._layout = layout
+        # Row, entry and moment row of each input that is looked at: the main ones, and in the row
+        # of ay the rudder and the roll rate
+        rolling = [[len(ROWS)], layout.rolling, [0]] if layout.rolling else np.empty((3, 0))
+        self._rows, self._entries, self._moments = np.hstack((layout.surfaces, rolling)).astype(int)
+        self._force = slice(len(ROWS), layout.surfaces.shape[1])
+        self._force_is_known = False
         # Samples, and their weights (3,) times dt
         self._gathered: list[tuple[RowSamples, FloatArray]] = []
         # Of the newest blocks, cyclically, sums of z f^T, z z^T, z y and the squared residuals
-        rows, width = len(self._entries), layout.width + EXTRA
+        rows, width = len(self._rows), layout.width + EXTRA
         self._zf, self._zz = (np.zeros((rows, BLOCKS, width, width)) for _ in range(2))
         self._zy, self._squares = np.zeros((rows, BLOCKS, width)), np.zeros((rows, BLOCKS))
         self._blocks = 0  # Closed so far
@@ -221,8 +226,9 @@ class ModelError:
         servo stay the same, and the lateness of a few blocks is noise.
         """
         self._gathered.clear()
+        own = self._moments[: self._force.stop] == row
         for sums in (self._zf, self._zz, self._zy, self._squares):
-            sums[row] = 0.0
+            sums[: self._force.stop][own] = 0.0
         self._held[:, row], self._blocks_anew[row] = self._lateness[:, row], 0
         if self._least_squares:
             self._least_squares.begin_anew(row)
@@ -235,8 +241,9 @@ class ModelError:
         ratio: FloatArray,
         # Of the aileron: the gust that it answers also pushes sideways
         roll_ratio: float,
-        effect: FloatArray,  # (3,) Control derivative of each row's main input
+        linear: FloatArray,  # (rows, c) Coefficients of the regression problem
         *,
+        force_is_known: bool,  # Whether the rudder's side force is known; if not it tells nothing
         restarted: bool,  # Whether the first sample does not continue the last
         # Whether the instruments' model is known. At the start it leaks, and gusts are in them.
         # With enough blocks without leak, those of the start are left out.
@@ -254,7 +261,10 @@ class ModelError:
             self._least_squares = ModelError(self._layout)
         if self._least_squares:
             own = samples.by_regressors()
-            self._least_squares.add(own, weight, ratio, roll_ratio, effect, restarted=restarted)
+            self._least_squares.add(
+                own, weight, ratio, roll_ratio, linear,
+                force_is_known=force_is_known, restarted=restarted,
+            )  # fmt: skip
         if restarted or not weight.any():
             self._gathered.clear()
             self._behind = None
@@ -266,11 +276,10 @@ class ModelError:
         parts, weights = zip(*self._gathered, strict=True)
         self._gathered.clear()
         block = RowSamples.join(parts)
-        rows, at = slice(len(self._entries)), self._blocks % BLOCKS
-        weight = np.repeat(weights, [part.count for part in parts], axis=0).T
-        weight = weight[[0, 1, 2, 0][rows]]  # the row of ay is excited by roll
+        rows, at = self._rows, self._blocks % BLOCKS
+        weight = np.repeat(weights, [part.count for part in parts], axis=0).T[self._moments]
         weight[:, 0] = 0.0  # no derivative of the first sample
-        f, z = self._extended(np.stack((block.f[rows], block.z[rows])), block.dt)
+        f, z = self._extended(np.stack((block.f, block.z)), block.dt)
         weighted = (z * weight[:, :, None]).transpose(0, 2, 1)
         self._zf[:, at], self._zz[:, at] = weighted @ f, weighted @ z
         self._zy[:, at] = (weighted @ block.y[rows, :, None])[:, :, 0]
@@ -278,18 +287,33 @@ class ModelError:
         self._blocks += 1
         self._blocks_anew += 1
         self._settled += settled
-        self._look(np.append(ratio, roll_ratio)[rows], effect)
+        self._force_is_known = force_is_known
+        effect = linear[rows, self._layout.index[rows, self._entries]]
+        answers = ratio[self._moments]
+        answers[self._force.stop :] = roll_ratio
+        self._look(answers, effect)
 
     def _extended(self, regressors: FloatArray, dt: float) -> FloatArray:
-        """Return regressors and instruments, (2, rows, m, k), extended by those of each row's u."""
-        u = regressors[:, range(len(self._entries)), :, self._entries].swapaxes(0, 1)
-        extended = np.zeros((*u.shape, regressors.shape[-1] + EXTRA))
-        extended[..., :-EXTRA] = regressors
+        """Return regressors and instruments, (2, rows, m, k), extended by those of each input u.
+
+        In the row of the side force, as the rudder's slope is there, they are the slopes of those.
+        """
+        own, at = regressors[:, self._rows], self._force
+        moved = own[:, range(len(self._rows)), :, self._entries].swapaxes(0, 1)
+        u = moved.copy()
+        u[:, at] = u[:, self._moments[at]]
+        beyond = self._beyond_play(u)
+        extended = np.zeros((*u.shape, own.shape[-1] + EXTRA))
+        extended[..., :-EXTRA] = own
         extra = extended[..., -EXTRA:]
         extra[..., _SATURATION] = u * np.abs(u)
-        extra[..., 1:, _LATENESS] = (u[..., 1:] - u[..., :-1]) / dt
-        extra[..., 1:-1, _ATTENUATION] = (2.0 * u[..., 1:-1] - u[..., 2:] - u[..., :-2]) / dt**2
-        extra[..., _BACKLASH] = self._beyond_play(u)
+        extra[:, at, :, _SATURATION] = 2.0 * np.abs(u[:, at]) * moved[:, at]
+        before, now, after = moved[..., :-2], moved[..., 1:-1], moved[..., 2:]
+        extra[..., 1:, _LATENESS] = (moved[..., 1:] - moved[..., :-1]) / dt
+        extra[..., 1:-1, _ATTENUATION] = (2.0 * now - after - before) / dt**2
+        extra[..., _BACKLASH] = beyond
+        extra[:, at, 1:, _BACKLASH] = np.diff(beyond[:, at]) / dt
+        extra[:, at, 0, _BACKLASH] = 0.0
         return extended
 
     def _beyond_play(self, u: FloatArray) -> FloatArray:
@@ -317,16 +341,36 @@ class ModelError:
         losses = self._find(slice(count), _PAIRS, ratio, effect)
         moments = losses.informative[: len(ROWS)]
         self._follow_lateness(losses)
-        if losses.informative[len(ROWS) :].all():
-            self.height = float(losses.size[len(ROWS) :, 0, 1].sum())
-        saturation, sure = losses.saturation, losses.sure[: len(ROWS)]
+        rolls = slice(self._force.stop, None)
+        if losses.informative[rolls].all():
+            self.height = float(losses.size[rolls, 0, 1].sum())
+        saturation, sure = losses.saturation[: len(ROWS)].copy(), losses.sure[: len(ROWS)]
+        for i in self._known_force(losses):
+            saturation[_YAW] = max(saturation[_YAW], losses.saturation[i])
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
-        self._backlash = np.where(moments, losses.backlash, self._backlash)
+        better = self._better(losses, losses.sigma[:, -1, 1])
+        self._backlash = np.where(moments, losses.backlash[better], self._backlash)
         newest = self._settled if k < self._settled < count else count
         blocks = np.arange(self._blocks - newest, self._blocks) % BLOCKS
         self._follow_earliness(self._find(blocks, _LATE[:1], ratio, effect, loading=ROUNDING))
+
+    def _better(self, losses: Losses, error: FloatArray) -> NDArray[np.intp]:
+        """Return the row of each moment's losses, (3,): of yaw that with the smaller `error`.
+
+        Where nearly all of the rudder's moment is by its side force, noise hides the rest.
+        """
+        rows = np.arange(len(ROWS))
+        for i in self._known_force(losses):
+            if error[i] < error[_YAW]:
+                rows[_YAW] = i
+        return rows
+
+    def _known_force(self, losses: Losses) -> range:
+        """Return the row of the side force if it is known and informative; else none."""
+        rows = range(*self._force.indices(len(self._rows)))
+        return rows if self._force_is_known and losses.informative[rows].all() else range(0)
 
     def _follow_lateness(self, losses: Losses) -> None:
         """Take over the lateness, averaged with that of before the rows began anew.
@@ -334,14 +378,14 @@ class ModelError:
         Both are weighted by their precision (inverse-variance weighting). The former leaves with
         time as its blocks would have.
         """
-        rows = slice(len(ROWS))
-        sigma = losses.sigma[rows, : len(_LATE), _LATE[0].index(_LATENESS)].min(axis=1)
-        precision = 1.0 / np.maximum(np.square(sigma), ROUNDING)
+        sigma = losses.sigma[:, : len(_LATE), _LATE[0].index(_LATENESS)].min(axis=1)
+        better = self._better(losses, sigma)
+        precision = 1.0 / np.maximum(np.square(sigma[better]), ROUNDING)
         late, held = self._held
         held = held * np.maximum(1.0 - self._blocks_anew / BLOCKS, 0.0)
         both = held + precision
-        mean = (held * late + precision * losses.late[rows]) / both
-        moments = losses.informative[rows]
+        mean = (held * late + precision * losses.late[better]) / both
+        moments = losses.informative[: len(ROWS)]
         self._lateness = np.where(moments, (mean, both), self._lateness)
 
     def _follow_earliness(self, losses: Losses) -> None:
@@ -406,16 +450,23 @@ class ModelError:
         # Without a prior this regression does not determine the input's own effect where a loop
         # moves it with the flow, or about one large deflection, as at another speed.
         extra, whole = linear[..., -2:], linear[range(len(zf)), :, self._entries][..., None]
-        main = scale[range(len(ROWS)), :, self._entries[: len(ROWS)]]
-        whole[: len(ROWS), :, 0] = effect[:, None] / main
+        own = slice(self._force.stop)
+        main = scale[range(self._force.stop), :, self._entries[own]]
+        whole[own, :, 0] = effect[own, None] / main
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
+        # Of a force the same share of a coefficient is another share of the effect's rms.
+        size_of = scale[range(len(zf)), :, self._entries][..., None] / scale[..., -2:]
+        alike = np.ones_like(away)
+        of_forces = self._moments[self._force]
+        alike[self._force] = size_of[of_forces] / np.maximum(size_of[self._force], TINY)
+        away *= alike
         # If one input in ten saturates, at three sigma a saturation is more likely than none.
         level = np.where(np.array(pairs) == _SATURATION, SURE, DOUBTLESS)
         sure = extra**2 > level**2 * variance
         size = np.where(sure, extra * scale[..., -2:], 0.0)
         # Saturation and attenuation leave different noise in the lateness beside them.
         main_effect = np.maximum(np.abs(whole[..., 0]), POWERLESS)
-        bias, error = (np.sqrt(v) / main_effect[..., None] for v in (answered, variance))
+        bias, error = (alike * np.sqrt(v) / main_effect[..., None] for v in (answered, variance))
         better = range(len(zf)), error[:, : len(_LATE), 1].argmin(axis=1), 1
         late = (away - bias)[better]
         rate = scale[range(len(zf)), 0, self._entries] / scale[:, 0, -1]

@@ -33,7 +33,6 @@ from uav_ident_ros.identification.scales import (
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings
 from uav_ident_ros.identification.structure import (
     CONSTANT_COLUMN,
-    INPUT_COLUMNS,
     INPUTS,
     MAIN_COLUMNS,
     MAIN_DERIVATIVES,
@@ -92,7 +91,7 @@ class RecursiveRegression(Estimator):
 
     def _begin_changes(self) -> None:
         """Restart the change detection."""
-        self._detector = ChangeDetector(self.start.free[:3], self._cutoff)
+        self._detector = ChangeDetector(self.start.free, self._layout, self._cutoff)
         self._since_sigma = np.inf
 
     def set_start(self, start: Start) -> None:
@@ -143,13 +142,14 @@ class RecursiveRegression(Estimator):
         ratio = answers * self._agrees_with_prior
         # The height has no such knowledge, and chance must not hide it: it biases the aileron.
         rolls = float(answers[0]) if self.answers[MAIN_PLACES[0]] else 0.0
-        effect = self.linear[MAIN_DERIVATIVES]
         settled = self.information.time.max() >= START_TIME
         restarted = samples.restarted
         # In quiet flight the samples contain only gusts and an autopilot's answers.
         looked = weight * self.learning
+        effects = self._layout.effects
+        known = np.abs(self.coefficients[effects]) > SURE * self.sigma[effects]
         self._error.add(
-            rows, looked, ratio, rolls, effect,
+            rows, looked, ratio, rolls, self.linear, force_is_known=bool(known[len(ROWS) :].any()),
             restarted=restarted, settled=settled, injected=samples.injected,
         )  # fmt: skip
         known_now = known_inputs(self.coefficients, self.sigma, self._error.lost)
@@ -336,11 +336,10 @@ class RecursiveRegression(Estimator):
         self.changes, self.rejected = [], []
         if self._detector.add(samples):
             linear = self._layout.matrix(self._known[0].linear[1])
-            sigma = self.sigma[: len(ROWS), INPUT_COLUMNS]
             error = np.where(self._error.is_known, self.model_error, 1.0)
             # What an autopilot answers beside injected signals is not known.
             answers = UNKNOWN_ANSWER if self._injected else self._feedback.largest_answer
-            for change in self._detector.look(linear, sigma, outlying, error, answers):
+            for change in self._detector.look(linear, self.sigma, outlying, error, answers):
                 column = MAIN_COLUMNS[change.row] if change.column is None else change.column
                 self.changes.append((change.row, int(column)))
                 self._release(change)
