@@ -29,8 +29,8 @@ def read_twist(message: Any) -> RatesReading:
 
 
 RATE_ADAPTERS["geometry_msgs/msg/TwistStamped"] = RatesAdapter(read_twist)
-"""From here on it is a choice of the setting ``imu.type``. The tables `ACTUATORS`, `AIRSPEEDS` and
-`ARMINGS` beside `RATE_ADAPTERS` are those of the other inputs."""
+"""From here on it is a choice of the setting ``imu.type``. The tables `ACTUATOR_ADAPTERS`,
+`AIRSPEED_READERS` and `ARMED_READERS` beside `RATE_ADAPTERS` are those of the other inputs."""
 
 
 def main(program: str, arguments: list[str]) -> int:

@@ -102,11 +102,11 @@ def reader(**actuators: Any) -> types.ActuatorReader:
 def test_every_declared_type_is_read() -> None:
     assert types.RATE_ADAPTERS.keys() == RATES_MESSAGES.keys()
     assert types.ACTUATOR_ADAPTERS.keys() == ACTUATOR_MESSAGES.keys()
-    assert {name for name, _, _ in OPTIONAL} == {*types.AIRSPEEDS, *types.ARMINGS}
+    assert {name for name, _, _ in OPTIONAL} == {*types.AIRSPEED_READERS, *types.ARMED_READERS}
     for name, (message, expected) in RATES_MESSAGES.items():
         assert types.RATE_ADAPTERS[name].read(message) == expected, name
     for name, message, (stamp_ns, value) in OPTIONAL:
-        assert {**types.AIRSPEEDS, **types.ARMINGS}[name](message) == (
+        assert {**types.AIRSPEED_READERS, **types.ARMED_READERS}[name](message) == (
             stamp_ns,
             pytest.approx(value),
         ), name
@@ -117,8 +117,8 @@ def test_every_declared_type_is_read() -> None:
 TYPE_SETTINGS = {
     "imu.type": types.RATE_ADAPTERS,
     "actuators.type": types.ACTUATOR_ADAPTERS,
-    "airspeed.type": types.AIRSPEEDS,
-    "armed.type": types.ARMINGS,
+    "airspeed.type": types.AIRSPEED_READERS,
+    "armed.type": types.ARMED_READERS,
 }
 
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Supported message types, and their conversion to plain values.
 
-A type is an entry of `RATE_ADAPTERS`, `ACTUATOR_ADAPTERS`, `AIRSPEEDS` or `ARMINGS`, which makes it
-a choice of the setting ``imu.type``, ``actuators.type``, ``airspeed.type`` or ``armed.type``.
+A type is an entry of `RATE_ADAPTERS`, `ACTUATOR_ADAPTERS`, `AIRSPEED_READERS` or `ARMED_READERS`,
+which makes it a choice of the setting ``imu.type``, ``actuators.type``, ``airspeed.type`` or
+``armed.type``.
 
 The adapters use attribute access only: rclpy messages, rosbags messages and stand-ins all work.
 Only `import_type` imports ROS.
@@ -184,8 +185,8 @@ def _speed(message: Any) -> float:
     return math.hypot(v.x, v.y, v.z)
 
 
-AIRSPEEDS: dict[str, Callable[[Any], Reading]] = AIRSPEED_TYPES
-AIRSPEEDS |= {
+AIRSPEED_READERS: dict[str, Callable[[Any], Reading]] = AIRSPEED_TYPES
+AIRSPEED_READERS |= {
     "std_msgs/msg/Float64": _plain(None, lambda m: float(m.data)),
     "std_msgs/msg/Float32": _plain(None, lambda m: float(m.data)),
     "geometry_msgs/msg/TwistStamped": _plain(header_ns, _speed),
@@ -194,8 +195,8 @@ AIRSPEEDS |= {
 }
 """The supported types of the airspeed topic: true airspeed, m/s; NaN while none is valid."""
 
-ARMINGS: dict[str, Callable[[Any], Reading]] = ARMED_TYPES
-ARMINGS |= {
+ARMED_READERS: dict[str, Callable[[Any], Reading]] = ARMED_TYPES
+ARMED_READERS |= {
     "std_msgs/msg/Bool": _plain(None, lambda m: bool(m.data)),
     "mavros_msgs/msg/State": _plain(header_ns, lambda m: bool(m.armed)),
     "px4_msgs/msg/VehicleStatus": _plain(
