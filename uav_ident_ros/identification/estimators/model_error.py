@@ -116,9 +116,10 @@ class Losses(NamedTuple):
     @property
     def backlash(self) -> FloatArray:
         """Loss of each row by backlash, beyond its own standard deviation, (rows,), 0 ... 1."""
-        found, sigma = self.found[:, -1, 1], self.sigma[:, -1, 1]
-        beyond = np.sqrt(np.maximum(np.square(found) - np.square(sigma), 0.0))
-        return np.clip(np.where(found > 0.0, beyond, 0.0), 0.0, 1.0)
+        # The squares stay finite, also of an effect of zero.
+        shares = np.array((self.found[:, -1, 1], self.sigma[:, -1, 1]))
+        found, sigma = np.square(shares.clip(0.0, 1.0 / ROUNDING))
+        return np.asarray(np.sqrt(np.clip(found - sigma, 0.0, 1.0)))
 
 
 class ModelError:
@@ -454,11 +455,7 @@ class ModelError:
         main = scale[range(self._force.stop), :, self._entries[own]]
         whole[own, :, 0] = effect[own, None] / main
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
-        # Of a force the same share of a coefficient is another share of the effect's rms.
-        size_of = scale[range(len(zf)), :, self._entries][..., None] / scale[..., -2:]
-        alike = np.ones_like(away)
-        of_forces = self._moments[self._force]
-        alike[self._force] = size_of[of_forces] / np.maximum(size_of[self._force], TINY)
+        alike = self._alike(scale)
         away *= alike
         # If one input in ten saturates, at three sigma a saturation is more likely than none.
         level = np.where(np.array(pairs) == _SATURATION, SURE, DOUBTLESS)
@@ -471,6 +468,17 @@ class ModelError:
         late = (away - bias)[better]
         rate = scale[range(len(zf)), 0, self._entries] / scale[:, 0, -1]
         return Losses(away, np.where(sure, away, 0.0), error, rate, size, late, informative)
+
+    def _alike(self, scale: FloatArray) -> FloatArray:
+        """Return the factors from a share of each row's effect to one of its moment.
+
+        The array is (rows, pairs, 2). The side force follows the rudder's slope: of that the same
+        coefficient is another share, rms.
+        """
+        shares = scale[range(len(scale)), :, self._entries][..., None] / scale[..., -2:]
+        alike, of_moment = np.ones_like(shares), self._moments[self._force]
+        alike[self._force] = shares[of_moment] / np.maximum(shares[self._force], TINY)
+        return alike
 
 
 def _solved(
