@@ -214,6 +214,17 @@ def test_quiet_flight_is_left_out_unless_signals_are_injected() -> None:
     assert blocks_scored(excited=False, injected=0.0) == 0
 
 
+def test_a_bank_that_begins_anew_keeps_injected_estimates_alone() -> None:
+    """The bank's own estimate does not say what of it may be lag: that was infinite."""
+    before = delay.DelayBank(0.3)
+    before.estimate = delay.DelayEstimate(0.05, 0.01, 0.05, 0.01, rise=5.0)
+    assert delay.DelayBank(0.3, 0.0, before).estimate == delay.NO_ESTIMATE
+    injected = replace(before.estimate, lag=0.02, lag_sigma=0.01)
+    before._injected = injected
+    anew = delay.DelayBank(0.3, 0.02, before).estimate
+    assert (anew.delay, anew.total, anew.hidden) == pytest.approx((0.03, 0.05, 0.01))
+
+
 def test_a_vibration_does_not_alias_to_a_delay() -> None:
     """In steps at 40 Hz, 50 Hz would alias to 10 Hz and bias the delay by 20 ms."""
     m = flying.light_measured(36.0, sensors={"rate": 250.0}, delay=0.02)

@@ -13,6 +13,7 @@ from verdict_flights import fly
 
 from uav_ident_ros.identification.gyro import HYPOTHESES, GyroFilters
 from uav_ident_ros.identification.lift import LiftSigns
+from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.scales import DOUBTLESS, RESPONSE_TIME, SURE
 from uav_ident_ros.identification.structure import FloatArray
 
@@ -78,6 +79,26 @@ def test_the_bias_of_the_gyro_is_found_in_a_minute() -> None:
     rates, force = (signal[: round(60.0 / TICK)] for signal in flown())
     assert evidence(rates + bias, force).bias == pytest.approx(bias, abs=0.02)
     assert not evidence(rates, force).bias.any()
+
+
+@pytest.mark.parametrize(
+    ("airspeed", "side_force", "omega", "phase"),
+    [(110.0, -50.0, 1.5, 90.0), (55.0, -15.0, 1.8, 45.0), (55.0, -15.0, 1.8, 90.0)],
+)
+def test_a_dutch_roll_blames_neither_the_axes_nor_the_bias(
+    airspeed: float, side_force: float, omega: float, phase: float
+) -> None:
+    """Sideslip of 6 deg, bank of 20 deg, ahead of it by the phase: the path does not follow."""
+    t = np.arange(round(90.0 / TICK)) * TICK
+    slip, roll = 0.1 * np.sin(omega * t), 0.35 * np.sin(omega * t + math.radians(phase))
+    force = side_force * slip
+    turn = (force + GRAVITY * np.sin(roll)) / (airspeed * np.cos(roll))  # of the path, rad/s
+    p, yaw = 0.35 * omega * np.cos(omega * t + math.radians(phase)), turn - np.gradient(slip, t)
+    rates = np.stack([p, yaw * np.sin(roll), yaw * np.cos(roll)], axis=1)
+    up = -GRAVITY * np.cos(roll) - airspeed * turn * np.sin(roll)
+    filters = evidence(rates, np.stack([np.zeros_like(t), force, up], axis=1), airspeed)
+    assert filters.wrong_axes(SURE) is None
+    assert not filters.bias.any()
 
 
 def test_a_new_stretch_keeps_the_bias_but_not_the_attitude() -> None:

@@ -24,15 +24,9 @@ from numpy.typing import NDArray
 
 from uav_ident_ros.identification.estimators.information import FIRST_RESIDUAL_VARIANCE
 from uav_ident_ros.identification.injected_response import Found, InjectedResponse
-from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.model import GRAVITY, LIFT_SLOPE, SIDE_FORCE_SLOPE
 from uav_ident_ros.identification.prediction import HORIZONS
-from uav_ident_ros.identification.prior import (
-    FORCE_SIGMA,
-    INPUT_SIGMA,
-    LIFT_SLOPE,
-    RATE_SIGMA,
-    SIDE_FORCE_SLOPE,
-)
+from uav_ident_ros.identification.prior import FORCE_SIGMA, INPUT_SIGMA, RATE_SIGMA
 from uav_ident_ros.identification.residuals import ANSWER_TIMES
 from uav_ident_ros.identification.samples import NS
 from uav_ident_ros.identification.sampling import Block, join
@@ -254,9 +248,10 @@ class DelayBank:
         self._block: Generator[None, None, bool] | None = None
         self._response, self._injected = InjectedResponse(), NO_ESTIMATE
         if before is not None:
-            self._response, known = before._response, before.estimate
-            delay, sigma = known.total - lag, known.total_sigma
-            self._injected = replace(known, delay=delay, sigma=sigma, hidden=known.lag_sigma)
+            self._response, known = before._response, before._injected
+            if known.from_injected:  # The bank's own estimate holds for its blocks alone
+                delay, sigma = known.total - lag, known.total_sigma
+                self._injected = replace(known, delay=delay, sigma=sigma, hidden=known.lag_sigma)
         self.estimate: DelayEstimate = self._injected
         self._delay_ns = 0
         self.restart()

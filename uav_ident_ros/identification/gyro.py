@@ -5,11 +5,12 @@ Rotated by the gyro into one attitude, specific force f and gravity g change the
 
     d(R v)/dt = R f + g
 
-An aircraft flies along its longitudinal axis, v = (V, 0, 0), but for the flow angles. For each
-hypothesis an extended Kalman filter, in information form, estimates the direction of gravity and
-the bias of the gyro. In turns their innovations decide (multiple model estimation; Bar-Shalom, Li
-and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 11.6), in
-straight flight the lift.
+An aircraft flies along its longitudinal axis but for the flow angles, v = (V, V beta, 0). In a
+Dutch roll the nose swings while the path stays: the sideslip beta is the side force over its slope.
+For each hypothesis an extended Kalman filter, in information form, estimates the direction of
+gravity, the bias of the gyro, and one over that slope. In turns their innovations decide (multiple
+model estimation; Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
+Navigation", 2001, section 11.6), in straight flight the lift.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ import numpy as np
 
 from uav_ident_ros.identification.frames import attitudes, cross_matrices
 from uav_ident_ros.identification.lift import LiftSigns
-from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.model import GRAVITY, SIDE_FORCE_SLOPE
 from uav_ident_ros.identification.scales import DOUBTLESS, GRAVITY_BAND, LONG_MEMORY, SURE, TINY
 from uav_ident_ros.identification.structure import FloatArray
 
 MEAN_FORCE_SIGMA = GRAVITY_BAND * GRAVITY
 """Standard deviation of the mean specific force of a block from that of flight along the
-longitudinal axis, m/s^2: the flow angles change as well."""
+longitudinal axis, m/s^2: the angle of attack changes as well, and gusts change both."""
 
 
 class Hypothesis(NamedTuple):
@@ -70,9 +71,11 @@ _LEVEL = (
 _SIGNS = np.array([hypothesis.gyro for hypothesis in HYPOTHESES], dtype=float)[:, None]
 _AHEAD = np.array([hypothesis.ahead for hypothesis in HYPOTHESES], dtype=float)[:, None]
 _ALONG = cross_matrices(np.eye(3)[0])  # Cross product with the longitudinal axis
-_PRIOR = np.eye(6) / GRAVITY_BAND**2
-"""Information on attitude, rad^-2, and gyro bias, (rad/s)^-2, from the first sample alone. The
-attitude is as sure as its gravity; a bias as large is found in seconds."""
+_ATTITUDE, _BIAS, _SLIP = slice(0, 3), slice(3, 6), slice(6, 7)  # States of a filter
+_PRIOR = np.diag([*[GRAVITY_BAND**-2] * 6, SIDE_FORCE_SLOPE**2])
+"""Information on attitude, rad^-2, gyro bias, (rad/s)^-2, and sideslip by side force, (m/s^2)^2 per
+rad^2, from the first sample alone. The attitude is as sure as its gravity; a bias as large is found
+in seconds; the sideslip has the prior of the identified model."""
 
 
 class WrongAxes(NamedTuple):
@@ -88,6 +91,8 @@ class GyroFilters:
 
     def __init__(self) -> None:
         self._bias: FloatArray = np.zeros((len(HYPOTHESES), 3))
+        # Sideslip per side force, rad per m/s^2
+        self._slip: FloatArray = np.full((len(HYPOTHESES), 1), 1.0 / SIDE_FORCE_SLOPE)
         # Sums over the blocks: squares of the innovations, in variances, and their number
         self._squares: FloatArray = np.zeros(len(HYPOTHESES))
         self._count = 0.0
@@ -101,11 +106,12 @@ class GyroFilters:
         self.found = False  # Whether the bias has been significant; it then stays in use
 
     def restart(self) -> None:
-        """Begin with an unknown attitude; biases and evidence are kept."""
+        """Begin with an unknown attitude; biases, sideslips and evidence are kept."""
         self._down = None
         covariance = np.linalg.inv(self._information)
         self._information = np.tile(_PRIOR, (len(HYPOTHESES), 1, 1))
-        self._information[:, 3:, 3:] = np.linalg.inv(covariance[:, 3:, 3:])
+        kept = slice(_BIAS.start, None)
+        self._information[:, kept, kept] = np.linalg.inv(covariance[:, kept, kept])
 
     def add(
         self,
@@ -130,7 +136,9 @@ class GyroFilters:
         weights = steps / time * np.maximum(0.0, 1.0 - off / GRAVITY_BAND)
         weight = float(weights.sum())
         shares = np.stack([steps / time, weights / (weight + TINY)])
+        by_slip = np.einsum("sk,hki->shi", shares, _slipping(turns, steps, force, airspeed))
         innovation = np.einsum("sk,hki->shi", shares, upwards) + GRAVITY * self._down
+        innovation -= by_slip * self._slip
         gravity = GRAVITY * (self._down[0] @ turns[0])
         if shows_axes:
             self._lift.add(steps, omega[0], force, gravity, airspeed, corrected=corrected)
@@ -139,7 +147,7 @@ class GyroFilters:
         by_bias = speed[..., None] * (turns @ _ALONG) - cross_matrices(upwards) @ lever
         by_bias = np.einsum("sk,hkij->shij", shares, by_bias)
         by_attitude = np.broadcast_to(GRAVITY * cross_matrices(self._down), by_bias.shape)
-        slope = np.concatenate([by_attitude, by_bias], axis=3)
+        slope = np.concatenate([by_attitude, by_bias, by_slip[..., None]], axis=3)
         scaled = innovation[0] / MEAN_FORCE_SIGMA, slope[0] / MEAN_FORCE_SIGMA
         self._judge(*scaled, 1.0 - time / LONG_MEMORY, shows_axes=shows_axes)
         weighted = weight / MEAN_FORCE_SIGMA**2 * slope[1].swapaxes(1, 2)
@@ -155,7 +163,7 @@ class GyroFilters:
         """
         assert self._down is not None
         covariance = np.linalg.inv(self._information[0])
-        variances, directions = np.linalg.eigh(covariance[3:, 3:])
+        variances, directions = np.linalg.eigh(covariance[_BIAS, _BIAS])
         components = self._bias[0] @ directions
         # Innovations larger than assumed count by their ratio
         larger = max(1.0, float(self._squares[0]) / self._count)
@@ -164,7 +172,8 @@ class GyroFilters:
         shown = self.found & (squares > 1.0)
         self.bias = directions @ np.where(shown, components, 0.0)
         missing = directions @ np.where(shown, 0.0, components / variances)
-        self.down = _unit(self._down[0] - np.cross(covariance[:3, 3:] @ missing, self._down[0]))
+        turned = covariance[_ATTITUDE, _BIAS] @ missing
+        self.down = _unit(self._down[0] - np.cross(turned, self._down[0]))
 
     def _judge(
         self, innovation: FloatArray, slope: FloatArray, keep: float, *, shows_axes: bool
@@ -184,18 +193,19 @@ class GyroFilters:
         self,
         end: FloatArray,  # (h, 3, 3) Rotation from the axes at the end to the initial ones
         lever: FloatArray,  # (h, 3, 3) Its integral over time, s
-        error: FloatArray,  # (h, 6) Corrections of attitude, rad, and bias, rad/s
-        information: FloatArray,  # (h, 6, 6)
+        error: FloatArray,  # (h, 7) Corrections of the states
+        information: FloatArray,  # (h, 7, 7)
         time: float,  # Duration, s
     ) -> None:
         """Correct the states, and predict those at the end of the block."""
         assert self._down is not None
-        down = self._down + np.cross(error[:, :3], self._down)
-        down = down + np.cross((lever @ error[:, 3:, None])[..., 0], down)
+        down = self._down + np.cross(error[:, _ATTITUDE], self._down)
+        down = down + np.cross((lever @ error[:, _BIAS, None])[..., 0], down)
         self._down = _unit((end.swapaxes(1, 2) @ down[..., None])[..., 0])
-        self._bias = self._bias + error[:, 3:]
-        back = np.zeros_like(information)
-        back[:, :3, :3], back[:, :3, 3:], back[:, 3:, 3:] = end, -lever, np.eye(3)
+        self._bias = self._bias + error[:, _BIAS]
+        self._slip = self._slip + error[:, _SLIP]
+        back = np.tile(np.eye(len(_PRIOR)), (len(HYPOTHESES), 1, 1))
+        back[:, _ATTITUDE, _ATTITUDE], back[:, _ATTITUDE, _BIAS] = end, -lever
         fade = time / LONG_MEMORY
         self._information = (1.0 - fade) * (back.swapaxes(1, 2) @ information @ back)
         self._information += fade * _PRIOR
@@ -226,6 +236,21 @@ class GyroFilters:
             axes, sigma = _BACKWARDS, (side + lift) / math.sqrt(2.0)
         evidence = "as configured, lift or side force drives the flow, which it opposes in reality"
         return WrongAxes(axes, sigma, evidence) if sigma > sure else None
+
+
+def _slipping(
+    turns: FloatArray,  # (h, k, 3, 3) Rotations to the initial axes
+    steps: FloatArray,  # (k,) Durations of the samples, s
+    force: FloatArray,  # (k, 3) Specific force, m/s^2, FRD
+    airspeed: float,  # True, m/s
+) -> FloatArray:
+    """Return the rate at which the velocity of a sideslip by the side force changes, (h, k, 3).
+
+    It is for a sideslip of 1 rad per m/s^2, in the initial axes; zero at the first sample.
+    """
+    velocity = airspeed * turns[..., 1] * force[:, 1, None]
+    change = np.diff(velocity, axis=1, prepend=velocity[:, :1])
+    return np.asarray(change / steps[:, None])
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -46,6 +46,11 @@ from uav_ident_ros.identification.structure import (
 GRAVITY = 9.80665
 """Standard acceleration of gravity, m/s^2."""
 
+SIDE_FORCE_SLOPE, LIFT_SLOPE = -15.0, -100.0
+"""Initial `ay/beta` and `az/alpha`, m/s^2 per rad, with a standard deviation of the same size. In
+level flight lift equals weight: ``az/alpha = -g C_La / C_L`` whatever the aircraft's size. C_La is
+4 to 6 per rad, C_L 0.2 to 0.8. Fuselage and fin make a sixth of this as side force."""
+
 LARGEST_RATE = 30.0
 """Rate beyond which the model's state has diverged, rad/s: no known aircraft turns faster."""
 

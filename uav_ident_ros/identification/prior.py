@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from uav_ident_ros.identification.estimate import CoefficientSet
-from uav_ident_ros.identification.model import GRAVITY
+from uav_ident_ros.identification.model import GRAVITY, LIFT_SLOPE, SIDE_FORCE_SLOPE
 from uav_ident_ros.identification.rigid_body import Inertia, product_coefficients
 from uav_ident_ros.identification.scales import SURE
 from uav_ident_ros.identification.settings import LARGEST_NUMBER, Settings, SettingsError
@@ -47,11 +47,6 @@ STATIC_SIGMA = 300.0
 """Prior standard deviation of the moments of sideslip and angle of attack, rad/s^2 per rad. Three
 times as much lets feedback into them: errors within a sigma fall from 68 to 62 % (false_usable.py,
 feedback)."""
-
-SIDE_FORCE_SLOPE, LIFT_SLOPE = -15.0, -100.0
-"""Initial `ay/beta` and `az/alpha`, m/s^2 per rad, with a standard deviation of the same size. In
-level flight lift equals weight: ``az/alpha = -g C_La / C_L`` whatever the aircraft's size. C_La is
-4 to 6 per rad, C_L 0.2 to 0.8. Fuselage and fin make a sixth of this as side force."""
 
 LARGEST_LIFT_ANGLE = 0.4
 """Angle of attack, relative to zero lift, at which every wing has stalled, rad. Level flight needs
