@@ -439,6 +439,14 @@ def _unseen(series: Series) -> Iterator[Trial]:
         )
 
 
+def _swaying(series: Series) -> Iterator[Trial]:
+    """Excitation that makes large Dutch rolls: the nose sways, and the path hardly turns."""
+    for aircraft, scale in (("t6texan2", 1.5), ("t6texan2", 2.0), ("c172r", 2.0)):
+        file = str(AIRFRAMES / f"{aircraft}.yaml")
+        yield series.trial(file, f"excitation x {scale:g}", scale=scale)
+    yield series.trial("OV10", "excitation x 2", scale=2.0)
+
+
 def _random(series: Series) -> Iterator[Trial]:
     """Aircraft, sensors, settings, excitation and failures drawn at random."""
     for k in range(series.seed * RANDOM_FLIGHTS, (series.seed + 1) * RANDOM_FLIGHTS):
@@ -672,9 +680,9 @@ CLASSES = {
     make.__name__.removeprefix("_"): make
     for make in (
         _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _imperfect, _weak,
-        _glitch, _clean, _published, _in_turn, _partly, _unseen, _random, _closed_loop, _told_wrong,
-        _warm, _launched, _blocked, _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed,
-        _recorded,
+        _glitch, _clean, _published, _in_turn, _partly, _unseen, _swaying, _random, _closed_loop,
+        _told_wrong, _warm, _launched, _blocked, _noisy_airspeed, _loaded, _retrimmed, _mistakes,
+        _reversed, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""
