@@ -20,6 +20,7 @@ import bench
 import yaml
 
 from uav_ident_ros import simulation
+from uav_ident_ros.identification import waveforms
 from uav_ident_ros.simulation.airframe import build
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import CoefficientChange, Flight, SimulationError
@@ -134,9 +135,9 @@ def load(
 
 @cache
 def _source_key() -> str:
-    """Return a hash of the simulation's source: changed code invalidates cached flights."""
+    """Return a hash of the source of simulation and signals: changes invalidate cached flights."""
     digest = hashlib.sha256()
-    for path in sorted(Path(simulation.__path__[0]).glob("*.py")):
+    for path in (*sorted(Path(simulation.__path__[0]).glob("*.py")), Path(waveforms.__file__)):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:8]
 
