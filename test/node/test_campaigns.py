@@ -39,7 +39,7 @@ def test_random_messages_and_calls_leave_the_node_running_and_its_fit_high(
 ) -> None:
     bag = excerpt(tmp_path / "multisine", 8.0)
     shutil.copy(PARAMETERS, bag)
-    for name, value in {**SHORT, "BAG": bag}.items():
+    for name, value in {**SHORT, "MULTISINE": bag}.items():
         monkeypatch.setattr(faults, name, value)
     campaign = faults.Campaign(seed=2, count=MESSAGES, sim_time=sim_time, folder=tmp_path)
     campaign.run()

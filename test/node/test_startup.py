@@ -51,12 +51,12 @@ WRONG_OF_OTHERS = [
 
 HAIL = """
 import os, signal, time
-from uav_ident_ros.node.ending import SIGNALS, Ending
+from uav_ident_ros.node.ending import ENDING_SIGNALS, Ending
 Ending()
 parent = os.getpid()
 if (child := os.fork()) == 0:
     while os.getppid() == parent:
-        for number in SIGNALS:
+        for number in ENDING_SIGNALS:
             os.kill(parent, number)
 for _ in range(60_000):
     Ending().close()
