@@ -15,9 +15,9 @@ def constants(module: str) -> set[str]:
 
 
 def test_constants_are_found_and_one_line_changes() -> None:
-    found = set(constants("flow")) | set(constants("scales"))
+    found = constants("flow") | constants("scales") | constants("gates")
     assert {"ATTITUDE_GAIN", "IN_A_ROW"} <= found
-    assert "ENDING_SIGNALS" not in found  # not a number
+    assert "IMU_SIGNALS" not in found  # not a number
     path = mutations.ROOT / mutations.path_of("identification.scales")
     source = path.read_text(encoding="utf-8")
     changed = mutations.mutated(source, "IN_A_ROW", 2.0)
