@@ -66,7 +66,7 @@ class Change(NamedTuple):
 
 
 class Candidates:
-    """What may change: control derivatives, the forces of surfaces, and each row as a whole.
+    """What may change: control derivatives, the rudder's side force, and each row as a whole.
 
     Each array has an entry for each of them; those of the problem have none for whole rows.
     """
@@ -152,9 +152,9 @@ class ChangeDetector:
         It has also changed where its mean is all that is unusual in an outlying residual.
         Where a whole row explains clearly more than each control derivative, the row has changed.
 
-        A surface changes its moment and its force alike, and the row that shows more of it is
-        taken. With flow angles the moment by its force is in the measured force already, and what
-        is left of a rudder's moment may be less than the noise.
+        A rudder changes its moment and its side force alike, and the row that shows more of it is
+        taken. With flow angles the moment by its side force is in the measured force already, and
+        what is left may be less than the noise.
 
         A change explains more than all else together, since an autopilot's answers to a storm
         explain up to 0.4. An input of which a share S answers disturbances explains at most S of
@@ -209,7 +209,7 @@ class ChangeDetector:
         regressor: FloatArray,  # (m - 1,) Of that candidate, whitened
         residual: FloatArray,  # (m - 1, rows) Whitened
     ) -> Change | None:
-        """Return the change of a candidate, or of the constant; None if a force has stepped."""
+        """Return the change of a candidate, or of the constant; None if the force has stepped."""
         candidates = self._candidates
         row, shown_by = (int(rows[best]) for rows in (candidates.row, candidates.shown_by))
         size, first, left_by_slope = _since(regressor, residual[:, shown_by])
