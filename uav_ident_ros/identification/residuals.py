@@ -423,13 +423,15 @@ class Confirmation:
         if max_age <= 0.0:
             return
         limit = CONFIRMED / LARGEST_ODDS
-        for i, turns in enumerate(self._turns):
+        ages = []
+        for turns in self._turns:
             while turns and self._now - turns[0][0] > MEMORY:
                 turns.popleft()
-            age = max_age + max((rested for _, rested in turns), default=0.0)
-            own = self._tested == i
-            self._odds[0, own] *= limit ** (time / age)
-            self._odds[1:, own] *= limit ** (time / max(age, MEMORY))
+            ages.append(max_age + max((rested for _, rested in turns), default=0.0))
+        effect = np.array([limit ** (time / age) for age in ages])
+        size = np.array([limit ** (time / max(age, MEMORY)) for age in ages])
+        self._odds[0] *= effect[self._tested]
+        self._odds[1:] *= size[self._tested]
 
     def doubt(self, row: int) -> str:
         """Return why a row's main control derivative is not confirmed; empty if it is."""

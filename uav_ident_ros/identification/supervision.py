@@ -175,7 +175,7 @@ class Supervisor:
         self.settings = settings  # May be replaced between ticks
         self.adapt = settings.adapt_on_start  # Whether learning is switched on
         self.armed: bool | None = None  # Whether the motors are; None if no message has arrived
-        self._structure = structure
+        self._structure, self._layout = structure, layout(structure)
         self.gates = Gates(more)
         self.reset()
 
@@ -188,7 +188,7 @@ class Supervisor:
         self._usual_time = [0.0] * len(ROWS)  # Time over which they were taken, s
         self._within: BoolArray = np.ones(3, dtype=bool)
         self._learned: BoolArray = np.ones(3, dtype=bool)
-        self.confirmed = Confirmation(layout(self._structure))
+        self.confirmed = Confirmation(self._layout)
         self._sigma: FloatArray = np.full(self._structure.mask.shape, np.inf)
         # Reason why a controller may not use each row; empty where it is usable
         self.verdict: tuple[str, ...] = ("",) * len(ROWS)
@@ -286,8 +286,7 @@ class Supervisor:
             _unknown_input(settings, i, main.item(i), spread.item(i), estimator.answers)
             for i in range(len(ROWS))
         ]
-        places = layout(self._structure).effects
-        effects, spreads = coefficients[places], sigma[places]
+        effects, spreads = coefficients[self._layout.effects], sigma[self._layout.effects]
         known = (np.abs(effects) >= settings.min_t_ratio * spreads) & (effects != 0.0)
         self.confirmed.forget_contradictions(~known)
         relearning = self._relearned(t, coefficients, sigma)

@@ -58,7 +58,7 @@ PLAY = 1.0 / SURE
 """Half of the play that is looked for, relative to the input's rms. With half or with 1.5 times as
 much, plays of 0.7 to 2 deg are found alike on five aircraft."""
 
-_YAW = ROWS.index("rdot")
+_YAW, _SIDE_FORCE = ROWS.index("rdot"), len(ROWS)
 
 _SATURATION, _LATENESS, _ATTENUATION, _BACKLASH = range(EXTRA)
 _LATE = (_SATURATION, _LATENESS), (_ATTENUATION, _LATENESS)
@@ -131,7 +131,7 @@ class ModelError:
         # of ay the rudder and the roll rate
         rolling = [[len(ROWS)], layout.rolling, [0]] if layout.rolling else np.empty((3, 0))
         self._rows, self._entries, self._moments = np.hstack((layout.surfaces, rolling)).astype(int)
-        self._force = slice(len(ROWS), layout.surfaces.shape[1])
+        self._force = slice(_SIDE_FORCE, layout.surfaces.shape[1])
         self._force_is_known = False
         # Samples, and their weights (3,) times dt
         self._gathered: list[tuple[RowSamples, FloatArray]] = []
@@ -345,9 +345,10 @@ class ModelError:
         rolls = slice(self._force.stop, None)
         if losses.informative[rolls].all():
             self.height = float(losses.size[rolls, 0, 1].sum())
-        saturation, sure = losses.saturation[: len(ROWS)].copy(), losses.sure[: len(ROWS)]
-        for i in self._known_force(losses):
-            saturation[_YAW] = max(saturation[_YAW], losses.saturation[i])
+        saturation, sure = losses.saturation, losses.sure[: len(ROWS)]
+        if self._is_shown_by_force(losses):
+            saturation[_YAW] = saturation[[_YAW, _SIDE_FORCE]].max()
+        saturation = saturation[: len(ROWS)]
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
@@ -363,15 +364,13 @@ class ModelError:
         Where nearly all of the rudder's moment is by its side force, noise hides the rest.
         """
         rows = np.arange(len(ROWS))
-        for i in self._known_force(losses):
-            if error[i] < error[_YAW]:
-                rows[_YAW] = i
+        if self._is_shown_by_force(losses) and error[_SIDE_FORCE] < error[_YAW]:
+            rows[_YAW] = _SIDE_FORCE
         return rows
 
-    def _known_force(self, losses: Losses) -> range:
-        """Return the row of the side force if it is known and informative; else none."""
-        rows = range(*self._force.indices(len(self._rows)))
-        return rows if self._force_is_known and losses.informative[rows].all() else range(0)
+    def _is_shown_by_force(self, losses: Losses) -> bool:
+        """Return whether the rudder's side force is known and informative."""
+        return self._force_is_known and bool(losses.informative[_SIDE_FORCE])
 
     def _follow_lateness(self, losses: Losses) -> None:
         """Take over the lateness, averaged with that of before the rows began anew.

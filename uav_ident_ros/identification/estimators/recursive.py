@@ -146,10 +146,10 @@ class RecursiveRegression(Estimator):
         restarted = samples.restarted
         # In quiet flight the samples contain only gusts and an autopilot's answers.
         looked = weight * self.learning
-        effects = self._layout.effects
-        known = np.abs(self.coefficients[effects]) > SURE * self.sigma[effects]
+        force = tuple(places[len(ROWS) :] for places in self._layout.effects)
+        known = np.abs(self.coefficients[force]) > SURE * self.sigma[force]
         self._error.add(
-            rows, looked, ratio, rolls, self.linear, force_is_known=bool(known[len(ROWS) :].any()),
+            rows, looked, ratio, rolls, self.linear, force_is_known=bool(known.any()),
             restarted=restarted, settled=settled, injected=samples.injected,
         )  # fmt: skip
         known_now = known_inputs(self.coefficients, self.sigma, self._error.lost)
