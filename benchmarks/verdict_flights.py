@@ -33,6 +33,9 @@ from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 EXCITED, CHANGED = 60.0, 75.0
 """End of the excitation in the flights of ``old_knowledge``, and time of the failure, s."""
 
+JAMMED = 50.0
+"""Time of the failure in the flights of ``jammed``, s."""
+
 GLITCH_TIME, GLITCH = 75.0, 34.9
 """Time of a wrong gyro sample, s, and its value, rad/s: 2000 deg/s."""
 
@@ -168,6 +171,7 @@ def fly(
     # m/s rms; for JSBSim's aircraft the severity 0 to 7, for plant and quadrotor gusts, rad/s^2
     wind: float = 0.0,
     changes: tuple[CoefficientChange, ...] = (),
+    jams: bool = False,  # Whether JSBSim's surfaces stay where they are in place of the changes
     delay: float = DELAY,
     time_constant: float = 0.0,
     sensors: Sensors = SENSORS,
@@ -191,10 +195,13 @@ def fly(
         plan = QuadrotorFlight(segments, duration, 500.0, gusts=gusts, **own)
     else:
         faults = [
-            Fault("effect", SURFACE_NAMES[INPUTS.index(name)], factor, change.time)
+            Fault(
+                "jams" if jams else "effect", SURFACE_NAMES[INPUTS.index(name)],
+                None if jams else factor, change.time,
+            )
             for change in changes
             for name, factor in change.factors.items()
-        ]
+        ]  # fmt: skip
         plan = AircraftFlight(
             segments, duration, 200.0, 50.0, aircraft=aircraft, turbulence=int(wind),
             faults=faults, **own,
@@ -267,6 +274,17 @@ def _changed(series: Series) -> Iterator[Trial]:
             changes = (CoefficientChange(series.length * CHANGED, {surface: factor}),)
             label = f"{surface} x {factor:g}"
             yield series.trial(aircraft, label, wind=wind, scale=0.5, changes=changes)
+
+
+def _jammed(series: Series) -> Iterator[Trial]:
+    """Excitation, then an autopilot alone: a surface jams, and its command stays near its place."""
+    for aircraft, (surface, bank) in product(
+        ("c172p", "T37", "OV10", "J3Cub"), (("de", 20.0), ("da", 0.0))
+    ):
+        yield series.trial(
+            aircraft, f"{surface} jams", bank=bank, wind=2, jams=True,
+            changes=(CoefficientChange(JAMMED, {surface: 0.0}),), excitation=((2.0, 40.0),),
+        )  # fmt: skip
 
 
 def _thinned(measured: Measurements) -> Measurements:
@@ -679,10 +697,10 @@ def _recorded(series: Series) -> Iterator[Trial]:
 CLASSES = {
     make.__name__.removeprefix("_"): make
     for make in (
-        _feedback, _old_knowledge, _changed, _unmodelled, _untold, _biased, _imperfect, _weak,
-        _glitch, _clean, _published, _in_turn, _partly, _unseen, _swaying, _random, _closed_loop,
-        _told_wrong, _warm, _launched, _blocked, _noisy_airspeed, _loaded, _retrimmed, _mistakes,
-        _reversed, _recorded,
+        _feedback, _old_knowledge, _changed, _jammed, _unmodelled, _untold, _biased, _imperfect,
+        _weak, _glitch, _clean, _published, _in_turn, _partly, _unseen, _swaying, _random,
+        _closed_loop, _told_wrong, _warm, _launched, _blocked, _noisy_airspeed, _loaded,
+        _retrimmed, _mistakes, _reversed, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""

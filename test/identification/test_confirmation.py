@@ -318,3 +318,31 @@ def test_only_the_row_that_is_learned_anew_loses_its_confirmation() -> None:
     flight.fly(TURN, moved=LARGE)
     flight.fly(8.0, moved=0.0)
     assert [bool(doubt) for doubt in flight.doubts()] == [False, True, False]
+
+
+@pytest.mark.parametrize("effect", [1.0, 0.33])
+def test_a_steady_deflection_confirms_nothing_once_the_constant_is_learned_anew(
+    effect: float,
+) -> None:
+    """The constant cancels what a weak surface leaves: the residual is noise, whatever is left."""
+    flight, rng, count = in_turns(), np.random.default_rng(1), round(20.0 / DT)
+    flight.confirmed.forget(PITCH)
+    u, noise = np.full((count, 4), 0.1), 0.5 * rng.normal(size=(count, 3))
+    u += 0.002 * rng.normal(size=u.shape)  # answers of an autopilot
+    moment = u @ ESTIMATED.T
+    moment[:, PITCH] = effect * (moment[:, PITCH] - moment[:, PITCH].mean())
+    moment[:, PITCH] += (u @ ESTIMATED.T)[:, PITCH].mean()
+    flight.add(u, moment + noise, u @ ESTIMATED.T)
+    assert flight.doubts()[PITCH].startswith("qdot/de is unconfirmed")
+    assert flight.doubts()[YAW] == ""  # a known constant: half of the rudder would show
+
+
+@pytest.mark.parametrize("deflection", [0.05, 0.07])
+def test_a_steady_deflection_does_not_confirm_a_rudder_that_has_jammed(deflection: float) -> None:
+    """It turns the aircraft as before, but follows its command no more."""
+    flight, rng, count = in_turns(), np.random.default_rng(1), round(60.0 / DT)
+    u = np.full((count, 4), deflection)
+    jammed = u @ ESTIMATED.T
+    u += 0.002 * rng.normal(size=u.shape)  # answers of an autopilot
+    flight.add(u, jammed + 0.5 * rng.normal(size=(count, 3)), u @ ESTIMATED.T)
+    assert flight.doubts()[YAW].startswith("rdot/dr is unconfirmed")

@@ -323,6 +323,22 @@ def test_a_late_aileron_counts_before_it_is_significant(seed: int) -> None:
     assert late[1:].tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize(
+    ("sigma", "roll"),
+    [(0.5, 0.4), (0.1, 0.35), (0.02, 0.11)],
+    ids=["as late as the others", "as late as it may be", "hardly late"],
+)
+def test_a_row_that_may_be_late_is_as_late_as_the_others(sigma: float, roll: float) -> None:
+    """The others lose 0.8 and 0.4 of the effect of inputs at 2 and 1 rad/s: the lag is 0.4 s."""
+    error_model = ModelError(LAYOUT)
+    found, errors = np.array([0.05, 0.8, 0.4]), np.array([sigma, 0.001, 0.001])
+    error_model._lateness, error_model._rate = np.array([found, errors**-2]), np.array([1, 2, 1])
+    late = error_model.relative_error(KNOWN_ROWS, UNDAMPED)
+    assert late.tolist() == pytest.approx([roll, 0.8, 0.4], rel=0.01)
+    unknown = error_model.relative_error(KNOWN_ROWS & False, UNDAMPED)
+    assert unknown.tolist() == [0.05, 0.8, 0.4]
+
+
 def half(error_model: ModelError, seconds: float, **flight: Any) -> float:
     """Return the model error of roll after flying on with half of the effect."""
     samples = rolled(**flight, effect=0.5 * EFFECT, seconds=seconds)

@@ -386,6 +386,8 @@ class Evidence:
     def wrong_axes(self, sure: float) -> WrongAxes | None:
         return WrongAxes(HYPOTHESES[1], self.sigma, "lift") if self.sigma > sure else None
 
+    by_lift = wrong_axes
+
 
 def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> None:
     """Doubted axes take the verdict alone; beyond 4.1 sigma they are named as well."""
@@ -403,6 +405,9 @@ def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> No
         checks.look(t, nothing, nothing[:, :4])
         checks.judge(t, values, np.ones_like(values), cast(GyroFilters, Evidence(sigma)))
         assert (checks.doubt is not None, bool(checks.fault)) == (doubted, named), t
+        assert checks.likely_axes.startswith("the axes of the gyro are unconfirmed: ") == (
+            sigma > 0.0
+        )
         assert [finding.name for finding in checks.findings] == ["axes"] * named, t
 
 

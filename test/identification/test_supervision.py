@@ -140,6 +140,22 @@ def test_evidence_against_an_unknown_estimate_does_not_count_against_a_known_one
     )
 
 
+def test_no_row_is_usable_while_other_axes_are_more_likely() -> None:
+    """What else denies a row is named first."""
+    identifier, _ = deepcopy(learned())
+    supervisor, estimator, running = (
+        identifier.supervisor, identifier.estimator, identifier.running_fit,
+    )  # fmt: skip
+    values, sigma = estimator.coefficients, estimator.sigma.copy()
+    sigma[1] = np.abs(values[1])
+    supervisor.judge(35.0, values, sigma, running, estimator, [""] * 3, np.inf, "axes")
+    assert [reason[:23] for reason in supervisor.verdict] == [
+        "axes",
+        "qdot/de has a t-ratio o",
+        "axes",
+    ]
+
+
 def test_without_adaptation_the_fit_is_low_on_the_axis_with_a_wrong_value() -> None:
     flight = flying.plant_flight(12.0)
     measurements = measure(flight, Sensors(gyro_noise=0.0), seed=2)

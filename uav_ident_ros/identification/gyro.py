@@ -212,7 +212,7 @@ class GyroFilters:
 
     def wrong_axes(self, sure: float) -> WrongAxes | None:
         """Return the axes that fit better by more than `sure` standard deviations."""
-        return self._by_gravity(sure) or self._by_lift(sure)
+        return self._by_gravity(sure) or self.by_lift(sure)
 
     def _by_gravity(self, sure: float) -> WrongAxes | None:
         """Return the axes with which the specific force fits straight flight better."""
@@ -228,7 +228,7 @@ class GyroFilters:
         evidence = "rotated by the gyro, the specific force fits straight flight better so"
         return WrongAxes(axes, sigma, evidence) if sigma > sure else None
 
-    def _by_lift(self, sure: float) -> WrongAxes | None:
+    def by_lift(self, sure: float) -> WrongAxes | None:
         """Return the axes with which lift and side force oppose the flow."""
         side, lift = self._lift.sigmas.tolist()
         axes, sigma = _LEVEL[int(lift > side)], max(side, lift)

@@ -677,6 +677,7 @@ class OnlineIdentifier:
                 estimator,
                 self.setup_doubts,
                 math.inf if self._warm else self._learned_time,
+                self.plausibility.likely_axes,
             )
         self._news = False
 

@@ -27,7 +27,7 @@ from uav_ident_ros.identification.frames import (
     rotations,
 )
 from uav_ident_ros.identification.gates import TickMeans
-from uav_ident_ros.identification.gyro import GyroFilters
+from uav_ident_ros.identification.gyro import GyroFilters, WrongAxes
 from uav_ident_ros.identification.linearisation import damping
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.sampling import InputMap
@@ -160,6 +160,8 @@ class Plausibility:
         self.signal_fault = ""
         # Whether the coefficients suggest swapped or reversed channels, confirmed or not
         self.doubt: Doubt | None = None
+        # Reason against every row while other axes are more likely, significantly or not
+        self.likely_axes = ""
 
     @property
     def findings(self) -> list[Finding]:
@@ -196,9 +198,11 @@ class Plausibility:
             return (
                 sign_finding(*known, share * SURE, multirotor=motors)
                 or exchange_finding(self.exchanged, share * SURE, multirotor=motors)
-                or (axes_finding(gyro, share * SURE) if gyro else None)
+                or (_axes_finding(gyro.wrong_axes(share * SURE)) if gyro else None)
             )
 
+        axes = _axes_finding(gyro.by_lift(0.0)) if gyro else None
+        self.likely_axes = f"the axes of the gyro are unconfirmed: {axes.text}" if axes else ""
         if turned := turn_finding(self.exchanged, settings.imu):
             self.note(t, turned)
         found, before = find(), self.doubt
@@ -491,9 +495,9 @@ def turn_finding(exchanged: ExchangedInputs, imu: ImuSettings) -> Finding | None
     )
 
 
-def axes_finding(gyro: GyroFilters, sure: float) -> Finding | None:
-    """Return a finding if turns fit the specific force with other axes of the Imu."""
-    if not (found := gyro.wrong_axes(sure)):
+def _axes_finding(found: WrongAxes | None) -> Finding | None:
+    """Return the finding for other axes of the Imu; None without them."""
+    if not found:
         return None
     axes, sigma, evidence = found
     return Finding(

@@ -302,6 +302,9 @@ the estimate first."""
 _SIZED = _LEFT[:, 0] < 1.0
 """Hypotheses about the size of the effect, not about whether there is any."""
 
+_OF_SIZE = np.tile(_SIZED[1:, 0, 0], 2)
+"""Tests about the size of the effect: with the row's constant, then with one of its own."""
+
 
 class Confirmation:
     """Evidence for and against the main control derivatives of the moment rows.
@@ -311,6 +314,13 @@ class Confirmation:
     surface turns the odds as soon as it moves. A surface that does not move gives no evidence, and
     its confirmation fades. Where surfaces are excited in turns, as by doublets one after the other,
     it fades no sooner than the next turn is due.
+
+    A surface that fails while it is deflected leaves a step, which contradicts it at once: the
+    constant moment is known from before. But a surface that jams leaves no step, and goes on to
+    turn the aircraft as its steady command would. And once a row is learned anew, its constant
+    cancels the step. In both cases a steady deflection would confirm whatever effect is estimated.
+    To be confirmed, a surface must therefore also exclude that it has no effect, and once the row
+    is learned anew each other effect, with a constant of its own: by the mean of `MEMORY`.
 
     Where an input may answer gusts, its effect is predicted from its own past: a loop that is
     faster than the samples answers a gust within one, and this answer would count against a healthy
@@ -333,7 +343,7 @@ class Confirmation:
         self._tested = np.append(self._moments, range(len(ROWS)))
         # Which effects add to both together, (effects, 3)
         self._adds = 1.0 * (self._moments[:, None] == range(len(ROWS)))
-        self._odds: FloatArray = np.zeros((len(OTHER_EFFECTS), len(self._tested)))
+        self._odds: FloatArray = np.zeros((len(_OF_SIZE), len(self._tested)))
         self._effects = Autoregression(count)
         self._innovation: FloatArray = np.zeros((count, 1))  # Last innovation of the effects
         self._now = 0.0  # Time since the start, s
@@ -341,6 +351,10 @@ class Confirmation:
         self._recent: FloatArray = np.zeros(len(ROWS))
         # Squared residuals of that time, times dt, by the estimated effects and by each other pair
         self._squares: FloatArray = np.zeros((len(_LEFT), count))
+        # Time since the row began to learn anew, s, and the mean difference that each effect makes,
+        # rad/s^2
+        self._anew: FloatArray = np.full(count, np.inf)
+        self._mean: FloatArray = np.zeros((len(_LEFT), count))
         self._squares_time = 0.0
         self._moved = [-math.inf] * len(ROWS)  # Last time that reached the bound, s
         # Start of each turn of the surface, and the rest before it, s
@@ -349,6 +363,7 @@ class Confirmation:
     def forget(self, row: int) -> None:
         """Clear the evidence of a row whose derivatives are learned anew."""
         self._odds[:, self._tested == row] = 0.0
+        self._anew[self._moments == row] = 0.0
         self._moved[row] = -math.inf
         self._turns[row].clear()
 
@@ -364,7 +379,7 @@ class Confirmation:
         self._odds[:, forces] *= self._known_forces
         for row in np.flatnonzero(unknown[: len(ROWS)]).tolist():
             own = self._tested == row
-            self._odds[1:, own] = np.maximum(self._odds[1:, own], 0.0)
+            self._odds[np.ix_(_OF_SIZE, own)] = self._odds[np.ix_(_OF_SIZE, own)].clip(min=0.0)
 
     def add(
         self,
@@ -377,23 +392,13 @@ class Confirmation:
         restarted: bool,  # Whether the first sample does not continue the last
     ) -> None:
         """Add whitened samples to the evidence."""
-        effect = coefficients[self._rows, self._columns][:, None]
-        effect = effect * white.f[self._rows, :, self._entries]
         may_answer = may_answer[self._moments]
-        new = self._effects.whiten(effect[..., None], white.dt, restarted=restarted)[..., 0]
-        before = np.hstack((self._innovation * (not restarted), new[:, :-1]))
-        self._innovation = new[:, -1:]
-        effect = effect - new * may_answer[:, None]
-        late = self._effects.weights[:, :1] * before * may_answer[:, None]
-        estimated = white.residual[self._rows]
-        explained = white.y[self._rows] - estimated  # by the whole row
-        explained[len(ROWS) :] = 0.0  # An inertia changes no force.
-        residual = estimated + _LEFT[:, 0] * (effect - _SIZED * late) + _LEFT[:, 1] * explained
+        time = white.y.shape[1] * white.dt
+        residual = self._residuals(white, coefficients, may_answer, restarted=restarted)
         squares = np.add.reduce(residual * residual, axis=2)
-        time = effect.shape[1] * white.dt
         self.fade(time, max_age)
         keep = math.exp(-time / INDEPENDENT_TIME)
-        self._squares = keep * self._squares + squares * white.dt
+        self._squares = keep * self._squares + squares[: len(_LEFT)] * white.dt
         self._squares_time = keep * self._squares_time + time
         # The residual of the best hypothesis is noise, too, where it exceeds the usual noise.
         least = np.minimum.reduce(self._squares) / self._squares_time
@@ -411,6 +416,34 @@ class Confirmation:
                 rested, self._moved[i] = self._now - self._moved[i], self._now
                 if max_age < rested <= MEMORY:
                     self._turns[i].append((self._now, rested))
+
+    def _residuals(
+        self,
+        white: RowSamples,
+        coefficients: FloatArray,  # (rows, c)
+        may_answer: BoolArray,  # (rows,)
+        *,
+        restarted: bool,
+    ) -> FloatArray:
+        """Return the residuals by the estimated effects and in each test, (1 + tests, rows, m)."""
+        effect = coefficients[self._rows, self._columns][:, None]
+        effect = effect * white.f[self._rows, :, self._entries]
+        new = self._effects.whiten(effect[..., None], white.dt, restarted=restarted)[..., 0]
+        before = np.hstack((self._innovation * (not restarted), new[:, :-1]))
+        self._innovation = new[:, -1:]
+        effect = effect - new * may_answer[:, None]
+        late = self._effects.weights[:, :1] * before * may_answer[:, None]
+        estimated = white.residual[self._rows]
+        explained = white.y[self._rows] - estimated  # by the whole row
+        explained[len(ROWS) :] = 0.0  # An inertia changes no force.
+        other = _LEFT[:, 0] * (effect - _SIZED * late) + _LEFT[:, 1] * explained
+        time = effect.shape[1] * white.dt
+        self._anew += time
+        constant_is_known = _SIZED[..., 0] & np.isinf(self._anew)
+        share = np.where(constant_is_known, 0.0, time / np.minimum(self._anew, MEMORY))
+        self._mean += share * (other.mean(axis=2) - self._mean)
+        tests = np.concatenate((other, other[1:] - self._mean[1:, :, None]))
+        return np.asarray(estimated + tests)
 
     def fade(self, time: float, max_age: float) -> None:
         """Fade the confirmations by a time, s.
@@ -430,14 +463,15 @@ class Confirmation:
             ages.append(max_age + max((rested for _, rested in turns), default=0.0))
         effect = np.array([limit ** (time / age) for age in ages])
         size = np.array([limit ** (time / max(age, MEMORY)) for age in ages])
-        self._odds[0] *= effect[self._tested]
-        self._odds[1:] *= size[self._tested]
+        self._odds[~_OF_SIZE] *= effect[self._tested]
+        self._odds[_OF_SIZE] *= size[self._tested]
 
     def doubt(self, row: int) -> str:
         """Return why a row's main control derivative is not confirmed; empty if it is."""
         name, surface = ROWS[row], MAIN_INPUTS[ROWS[row]]
         least: list[float] = self._odds[:, self._tested == row].min(axis=1).tolist()
-        for against, remark in zip(least, OTHER_EFFECTS.values(), strict=True):
+        remarks = OTHER_EFFECTS.values()
+        for against, remark in zip(least[: len(remarks)], remarks, strict=True):
             if against <= -CONFIRMED:
                 found = remark.format(row=name, surface=surface)
                 return f"{name}/{surface} is contradicted: {found}"

@@ -267,6 +267,7 @@ class Supervisor:
         estimator: Estimator,  # Source of the model errors
         denied: Sequence[str],  # Reason against each row by wrong settings; empty if none
         learned_time: float,  # Since a cold start, s; inf after a warm one
+        axes: str = "",  # Reason against all rows while other axes of the gyro are more likely
     ) -> None:
         """Renew the verdict on the coefficients, row by row.
 
@@ -314,6 +315,7 @@ class Supervisor:
             or young
             or _poor_fit(settings, running, i)
             or of_input(i)
+            or axes
             for i in range(len(ROWS))
         )
         self.proven = self.proven or not any(self.verdict)

@@ -181,12 +181,13 @@ class ModelError:
         """Return the most likely error of each row, (3,): `lost`, lateness or earliness.
 
         Lateness counts before it is significant: noise must not hide a servo that is too slow for
-        its commands. Delay and lag are one setting for all inputs, and an error of it makes all of
-        them early. The largest earliness of the rows `known` therefore counts for all, unless one
-        of them would show it and shows none: by gusts one alone looks early. With the damping a,
-        inputs that are early by T look early by T / (1 + a T). The yaw of a multirotor counts for
-        itself alone: the inertia of the `rotors` turns the vehicle while their speed changes,
-        before their drag does.
+        its commands. Servos are mostly alike, and quick damping hides their lag, so a row that may
+        be as late as the others are is taken to be so. Delay and lag are one setting for all
+        inputs, and an error of it makes all of them early. The largest earliness of the rows
+        `known` therefore counts for all, unless one of them would show it and shows none: by gusts
+        one alone looks early. With the damping a, inputs that are early by T look early by
+        T / (1 + a T). The yaw of a multirotor counts for itself alone: the inertia of the `rotors`
+        turns the vehicle while their speed changes, before their drag does.
 
         No input acts before its command. It looks early by more than its `delay` because stamps are
         wrong, which all inputs share, or because gusts or a missing term look like it.
@@ -203,12 +204,24 @@ class ModelError:
             shared = 0.0
         own = np.minimum(own, delay + hidden)
         early = np.maximum(own * self._rate, shared * self._rate.max())
-        return np.maximum(np.maximum(self.lost, self._late), np.minimum(early, 1.0))
+        late = np.maximum(self._late, self._late_as_others(told))
+        return np.maximum(np.maximum(self.lost, late), np.minimum(early, 1.0))
 
     @property
     def _late(self) -> FloatArray:
         """Most likely loss by lateness, (3,), 0 ... 1."""
         return np.asarray(np.clip(self._lateness[0], 0.0, 1.0))
+
+    def _late_as_others(self, told: BoolArray) -> FloatArray:
+        """Return the loss by a servo lag as in the rows `told`, in the mean, (3,), 0 ... 1.
+
+        A row counts by its precision. No row is later than its own evidence allows.
+        """
+        late, precision = self._lateness
+        weight = self._rate * precision * told
+        seconds = float(weight @ late) / max(float(weight @ self._rate), TINY)
+        highest = late + SURE / np.sqrt(np.maximum(precision, TINY))
+        return np.asarray(np.minimum(seconds * self._rate, highest).clip(0.0, 1.0))
 
     @property
     def is_known(self) -> BoolArray:
