@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Model errors: lateness, saturation and backlash of inputs, an Imu above the centre of gravity.
 
-A servo lag, a limit of travel or a play that is not configured leaves little in the residual,
-because damping absorbs most of it. Each row is therefore solved once more with additional
+A servo lag, a limit of travel or of speed, or a play that is not configured leaves little in the
+residual, because damping absorbs most of it. Each row is therefore solved once more with additional
 regressors,
 
-    y = A f + c1 u|u| + c2 du/dt - c3 d2u/dt2 + c4 (u - b(u)),
+    y = A f + c1 u|u| + c2 du/dt - c3 d2u/dt2 + c4 (u - b(u)) + c5 (u - s(u)),
 
-with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16), and
-b(u) the same behind a play. Against the input's effect, c1 is saturation, c2 lateness, c3 an effect
-that falls with frequency, as by a servo lag in whose place a delay is in use, and c4 backlash. The
-row's derivatives are then off by about as much. A c2 that adds to the effect is an input that acts
-early: a configured lag or delay is too long, and all derivatives may be off by several times.
+with u the row's main input (a model error model; Ljung, System Identification, 1999, ch. 16), b(u)
+the same behind a play, and s(u) behind a servo that is as slow as the rms rate of u. Against the
+input's effect, c1 is saturation, c2 lateness, c3 an effect that falls with frequency, as by a servo
+lag in whose place a delay is in use, c4 backlash, and c5 a limit of speed. The row's derivatives
+are then off by about as much. A c2 that adds to the effect is an input that acts early: a
+configured lag or delay is too long, and all derivatives may be off by several times.
 
 An accelerometer h above the centre of gravity measures `h pdot` as side force. In the row of ay,
 with p in the place of u, c2 is h.
@@ -50,7 +51,7 @@ factor of two hardly matters: of 30 flights with inputs 80 or 120 ms later than 
 rows are denied. Without it 12 of their 90 rows stay usable; ten times as much hides a lag of 80 ms.
 """
 
-EXTRA = 4
+EXTRA = 5
 """Number of additional regressors. They are tested in pairs: all need longer than a cold start has.
 """
 
@@ -60,10 +61,12 @@ much, plays of 0.7 to 2 deg are found alike on five aircraft."""
 
 _YAW, _SIDE_FORCE = ROWS.index("rdot"), len(ROWS)
 
-_SATURATION, _LATENESS, _ATTENUATION, _BACKLASH = range(EXTRA)
+_SATURATION, _LATENESS, _ATTENUATION, _BACKLASH, _SLOWNESS = range(EXTRA)
 _LATE = (_SATURATION, _LATENESS), (_ATTENUATION, _LATENESS)
-_PAIRS = (*_LATE, (_SATURATION, _BACKLASH))  # A backlash looks late: beside lateness noise hides it
+# Backlash and slowness look late: beside lateness noise hides them
+_PAIRS = (*_LATE, (_ATTENUATION, _SLOWNESS), (_SATURATION, _BACKLASH))
 _WITH_SATURATION = [i for i, pair in enumerate(_PAIRS) if _SATURATION in pair]
+_NOT_FOLLOWED = _PAIRS.index((_ATTENUATION, _SLOWNESS)), _PAIRS.index((_SATURATION, _BACKLASH))
 
 
 def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
@@ -113,11 +116,10 @@ class Losses(NamedTuple):
         better = range(len(error)), error.argmin(axis=1)
         return np.asarray(size[better] - error[better])
 
-    @property
-    def backlash(self) -> FloatArray:
-        """Loss of each row by backlash, beyond its own standard deviation, (rows,), 0 ... 1."""
+    def beyond_chance(self, pair: int) -> FloatArray:
+        """Return the loss by the second one of a pair beyond its own sigma, (rows,), 0 ... 1."""
         # The squares stay finite, also of an effect of zero.
-        shares = np.array((self.found[:, -1, 1], self.sigma[:, -1, 1]))
+        shares = np.array((self.found[:, pair, 1], self.sigma[:, pair, 1]))
         found, sigma = np.square(shares.clip(0.0, 1.0 / ROUNDING))
         return np.asarray(np.sqrt(np.clip(found - sigma, 0.0, 1.0)))
 
@@ -141,9 +143,9 @@ class ModelError:
         self._zy, self._squares = np.zeros((rows, BLOCKS, width)), np.zeros((rows, BLOCKS))
         self._blocks = 0  # Closed so far
         self._settled = 0  # Of these, the newest, with instruments of a known model
-        # Of the inputs, in regressors and instruments, (2, rows): running mean and mean square, and
-        # if the samples continue, the last one behind a play
-        self._mean, self._square = np.zeros((2, 2, rows))
+        # Of the inputs, in regressors and instruments, (2, rows): running mean, mean square, and
+        # mean square of the rate; if the samples continue, the last one behind play and slow servo
+        self._mean, self._square, self._speed = np.zeros((3, 2, rows))
         self._behind: FloatArray | None = None
         # Largest loss by saturation, lateness or attenuation, relative to the input's effect, rms,
         # at most 1; 0 where not significant
@@ -151,8 +153,8 @@ class ModelError:
         # Saturation, and the same by least squares once signals were injected
         self.saturation: FloatArray = np.zeros(len(ROWS))
         self._least_squares: ModelError | None = None
-        # Loss by a backlash beyond its own standard deviation, rms, significant or not
-        self._backlash: FloatArray = np.zeros(len(ROWS))
+        # Loss by backlash or a limit of speed beyond its own sigma, rms, significant or not
+        self._not_followed: FloatArray = np.zeros(len(ROWS))
         # Earliness of each row, its standard deviation, s, and the input's rate as in `Losses`
         self._early: FloatArray = np.zeros(len(ROWS))
         self._early_sigma: FloatArray = np.full(len(ROWS), np.inf)
@@ -167,7 +169,7 @@ class ModelError:
     @property
     def lost(self) -> FloatArray:
         """Loss that sigma contains, relative to the input's effect, (3,)."""
-        lost = np.maximum(self.share, self._backlash)
+        lost = np.maximum(self.share, self._not_followed)
         beside = self._least_squares
         return lost if beside is None else np.maximum(lost, beside.saturation)
 
@@ -316,7 +318,7 @@ class ModelError:
         moved = own[:, range(len(self._rows)), :, self._entries].swapaxes(0, 1)
         u = moved.copy()
         u[:, at] = u[:, self._moments[at]]
-        beyond = self._beyond_play(u)
+        beyond = self._beyond_servo(u, dt)
         extended = np.zeros((*u.shape, own.shape[-1] + EXTRA))
         extended[..., :-EXTRA] = own
         extra = extended[..., -EXTRA:]
@@ -325,23 +327,32 @@ class ModelError:
         before, now, after = moved[..., :-2], moved[..., 1:-1], moved[..., 2:]
         extra[..., 1:, _LATENESS] = (moved[..., 1:] - moved[..., :-1]) / dt
         extra[..., 1:-1, _ATTENUATION] = (2.0 * now - after - before) / dt**2
-        extra[..., _BACKLASH] = beyond
-        extra[:, at, 1:, _BACKLASH] = np.diff(beyond[:, at]) / dt
-        extra[:, at, 0, _BACKLASH] = 0.0
+        extra[..., _BACKLASH:] = beyond
+        extra[:, at, 1:, _BACKLASH:] = np.diff(beyond[:, at], axis=2) / dt
+        extra[:, at, 0, _BACKLASH:] = 0.0
         return extended
 
-    def _beyond_play(self, u: FloatArray) -> FloatArray:
-        """Return inputs (2, rows, m) less the same behind a play (the play operator)."""
+    def _beyond_servo(self, u: FloatArray, dt: float) -> FloatArray:
+        """Return inputs (2, rows, m) less what a servo makes of them, (2, rows, m, 2).
+
+        The first servo has a play (the play operator), the second a limit of speed.
+        """
         share = 1.0 / min(self._blocks + 1.0, MEMORY / INDEPENDENT_TIME)
         self._mean += share * (u.mean(axis=-1) - self._mean)
         self._square += share * (np.square(u).mean(axis=-1) - self._square)
+        self._speed += share * (np.square(np.diff(u) / dt).mean(axis=-1) - self._speed)
         half = PLAY * np.sqrt(np.maximum(self._square - self._mean**2, 0.0))
-        behind = u[..., 0] if self._behind is None else self._behind
-        beyond = np.empty_like(u)
+        reach = np.sqrt(self._speed) * dt
+        play, slow = (u[..., 0], u[..., 0]) if self._behind is None else self._behind
+        beyond = np.empty((*u.shape, 2))
         for k in range(u.shape[-1]):
-            behind = np.clip(behind, u[..., k] - half, u[..., k] + half)
-            beyond[..., k] = u[..., k] - behind
-        self._behind = behind
+            now = u[..., k]
+            play, slow = (
+                np.clip(play, now - half, now + half),
+                np.clip(now, slow - reach, slow + reach),
+            )
+            beyond[..., k, 0], beyond[..., k, 1] = now - play, now - slow
+        self._behind = np.stack((play, slow))
         return beyond
 
     def _look(self, ratio: FloatArray, effect: FloatArray) -> None:
@@ -365,8 +376,11 @@ class ModelError:
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
-        better = self._better(losses, losses.sigma[:, -1, 1])
-        self._backlash = np.where(moments, losses.backlash[better], self._backlash)
+        lost = [
+            losses.beyond_chance(pair)[self._better(losses, losses.sigma[:, pair, 1])]
+            for pair in _NOT_FOLLOWED
+        ]
+        self._not_followed = np.where(moments, np.maximum(*lost), self._not_followed)
         newest = self._settled if k < self._settled < count else count
         blocks = np.arange(self._blocks - newest, self._blocks) % BLOCKS
         self._follow_earliness(self._find(blocks, _LATE[:1], ratio, effect, loading=ROUNDING))
