@@ -33,8 +33,11 @@ from uav_ident_ros.simulation.quadrotor_flight import NAME as QUADROTOR
 EXCITED, CHANGED = 60.0, 75.0
 """End of the excitation in the flights of ``old_knowledge``, and time of the failure, s."""
 
-JAMMED = 50.0
-"""Time of the failure in the flights of ``jammed``, s."""
+FAILED = 50.0
+"""Time of the failure in the flights of ``jammed`` and ``slowing``, s."""
+
+PEAK_TIME = 0.3
+"""Time that a servo of ``slowing`` then needs for the peak of the excitation, s."""
 
 GLITCH_TIME, GLITCH = 75.0, 34.9
 """Time of a wrong gyro sample, s, and its value, rad/s: 2000 deg/s."""
@@ -283,8 +286,36 @@ def _jammed(series: Series) -> Iterator[Trial]:
     ):
         yield series.trial(
             aircraft, f"{surface} jams", bank=bank, wind=2, jams=True,
-            changes=(CoefficientChange(JAMMED, {surface: 0.0}),), excitation=((2.0, 40.0),),
+            changes=(CoefficientChange(FAILED, {surface: 0.0}),), excitation=((2.0, 40.0),),
         )  # fmt: skip
+
+
+class Slowing:
+    """Servos of some surfaces that turn at a limited speed, rad/s, from `FAILED` on."""
+
+    def __init__(self, speed: float, surfaces: Sequence[str], rate: float = 50.0) -> None:
+        self._reach, self._rate, self._count = speed / rate, rate, 0
+        self._slow = np.isin(INPUTS, surfaces)
+
+    def __call__(self, before: FloatArray, commanded: FloatArray) -> FloatArray:
+        """Return the deflections after a command."""
+        self._count += 1
+        if self._count < FAILED * self._rate:
+            return commanded
+        reached = np.clip(commanded, before - self._reach, before + self._reach)
+        return np.where(self._slow, reached, commanded)
+
+
+def _slowing(series: Series) -> Iterator[Trial]:
+    """Excitation, in which the servos of all surfaces or of one become slow."""
+    for (aircraft, wind), surfaces in product(
+        (("light_aircraft", 0.3), ("c172p", 2), ("T37", 2), ("J3Cub", 1), ("ultra_stick_25e", 1)),
+        (("de", "dr", "da"), ("de",), ("da",)),
+    ):
+        peaks = PEAKS.get(aircraft) or airframe(aircraft).excitation
+        servos = Slowing(min(peaks[name] for name in surfaces) / PEAK_TIME, surfaces)
+        label = f"servos of {', '.join(surfaces)} become slow"
+        yield series.trial(aircraft, label, bank=20.0, wind=wind, actuators=servos)
 
 
 def _thinned(measured: Measurements) -> Measurements:
@@ -697,9 +728,9 @@ def _recorded(series: Series) -> Iterator[Trial]:
 CLASSES = {
     make.__name__.removeprefix("_"): make
     for make in (
-        _feedback, _old_knowledge, _changed, _jammed, _unmodelled, _untold, _biased, _imperfect,
-        _weak, _glitch, _clean, _published, _in_turn, _partly, _unseen, _swaying, _random,
-        _closed_loop, _told_wrong, _warm, _launched, _blocked, _noisy_airspeed, _loaded,
+        _feedback, _old_knowledge, _changed, _jammed, _slowing, _unmodelled, _untold, _biased,
+        _imperfect, _weak, _glitch, _clean, _published, _in_turn, _partly, _unseen, _swaying,
+        _random, _closed_loop, _told_wrong, _warm, _launched, _blocked, _noisy_airspeed, _loaded,
         _retrimmed, _mistakes, _reversed, _recorded,
     )
 }  # fmt: skip

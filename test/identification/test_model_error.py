@@ -45,21 +45,22 @@ def rolled(
     seed: int = 1,
     dead: float = 0.0,
     play: float = 0.0,
+    speed: float = np.inf,
     effect: float = EFFECT,
 ) -> RowSamples:
     """Samples of a roll by an aileron with a travel, rad, for 0.1 commanded, and a servo lag, s.
 
     Of each command a band `dead` to either side of zero, rad, is missing. The aileron follows
-    behind a `play`, rad from stop to stop.
+    behind a `play`, rad from stop to stop, and at most at a `speed`, rad/s.
     """
     rng = np.random.default_rng(seed)
     t = DT * np.arange(round(seconds / DT))
     u = 0.05 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0))
     p, pdot = np.zeros(len(t) + 1), np.zeros(len(t))
-    gusts, reached, behind = noise * rng.normal(size=len(t)), 0.0, 0.0
+    gusts, reached, behind, slow = noise * rng.normal(size=len(t)), 0.0, 0.0, float(u[0])
     for k, command in enumerate(u):
         behind = float(np.clip(behind, command - 0.5 * play, command + 0.5 * play))
-        command = behind
+        command = slow = float(np.clip(behind, slow - speed * DT, slow + speed * DT))
         keep = np.exp(-DT / lag) if lag else 0.0
         moved = np.clip(command, -travel, travel) - np.clip(command, -dead, dead)
         reached = keep * reached + (1.0 - keep) * moved
@@ -314,6 +315,17 @@ def test_a_backlash_is_a_model_error_of_its_own(play: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_servo_that_is_too_slow_for_its_commands_is_a_model_error(seed: int) -> None:
+    """It turns at 0.08 rad/s, its commands at 0.12 rms. As lateness it would look smaller."""
+    error_model, healthy = ModelError(LAYOUT), ModelError(LAYOUT)
+    shares(rolled(speed=0.08, noise=1.0, seed=seed), error_model)
+    shares(rolled(noise=1.0, seed=seed), healthy)
+    assert error_model.lost[0] > max(0.3, 3.0 * float(error_model._late[0]))
+    assert error_model.lost[1:].tolist() == [0.0, 0.0]
+    assert healthy.lost[0] < 0.03
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_late_aileron_counts_before_it_is_significant(seed: int) -> None:
     """The noise hides a lag of 0.12 s for a minute."""
     error_model = ModelError(LAYOUT)
@@ -449,7 +461,7 @@ def test_an_earliness_is_refuted_by_blocks_that_would_show_it(
         sigma * one,
         np.ones(rows),
         none,
-        np.zeros(rows),
+        none,
         np.ones(rows) > 0,
     )
     error_model._follow_earliness(shown)

@@ -66,7 +66,11 @@ _LATE = (_SATURATION, _LATENESS), (_ATTENUATION, _LATENESS)
 # Backlash and slowness look late: beside lateness noise hides them
 _PAIRS = (*_LATE, (_ATTENUATION, _SLOWNESS), (_SATURATION, _BACKLASH))
 _WITH_SATURATION = [i for i, pair in enumerate(_PAIRS) if _SATURATION in pair]
-_NOT_FOLLOWED = _PAIRS.index((_ATTENUATION, _SLOWNESS)), _PAIRS.index((_SATURATION, _BACKLASH))
+_BEHIND_PLAY, _SLOW = (
+    _PAIRS.index((_SATURATION, _BACKLASH)),
+    _PAIRS.index((_ATTENUATION, _SLOWNESS)),
+)
+_NOT_FOLLOWED = _BEHIND_PLAY, _SLOW
 
 
 def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
@@ -96,8 +100,7 @@ class Losses(NamedTuple):
     sigma: FloatArray  # (rows, pairs, 2) Standard deviation of `found`
     rate: FloatArray  # (rows,) Rms rate of the input relative to its rms, rad/s
     size: FloatArray  # (rows, pairs, 2) Coefficients, 0 where not significant
-    # (rows,) Lateness less the most that feedback may cause, by the solution of smallest sigma
-    late: FloatArray
+    less: FloatArray  # (rows, pairs, 2) `found` less the most that feedback may cause
     # (rows,) Whether the input moved in more blocks than it makes regressors, as a scatter needs
     informative: BoolArray
 
@@ -162,6 +165,8 @@ class ModelError:
         # Loss by lateness, significant or not, beyond what feedback may cause, and its precision,
         # 1 / sigma^2; those of before a row began anew, and the number of its blocks since
         self._lateness, self._held = np.zeros((2, 2, len(ROWS)))
+        # Loss by a limit of speed, significant or not, and its precision
+        self._slowness: FloatArray = np.zeros((2, len(ROWS)))
         self._blocks_anew = np.full(len(ROWS), BLOCKS)
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
@@ -206,24 +211,15 @@ class ModelError:
             shared = 0.0
         own = np.minimum(own, delay + hidden)
         early = np.maximum(own * self._rate, shared * self._rate.max())
-        late = np.maximum(self._late, self._late_as_others(told))
-        return np.maximum(np.maximum(self.lost, late), np.minimum(early, 1.0))
+        late = _as_others(self._lateness, self._rate, told)
+        slow = _as_others(self._slowness, np.ones(len(ROWS)), told)
+        lost = np.maximum.reduce((self.lost, self._late, late, slow))
+        return np.maximum(lost, np.minimum(early, 1.0))
 
     @property
     def _late(self) -> FloatArray:
         """Most likely loss by lateness, (3,), 0 ... 1."""
         return np.asarray(np.clip(self._lateness[0], 0.0, 1.0))
-
-    def _late_as_others(self, told: BoolArray) -> FloatArray:
-        """Return the loss by a servo lag as in the rows `told`, in the mean, (3,), 0 ... 1.
-
-        A row counts by its precision. No row is later than its own evidence allows.
-        """
-        late, precision = self._lateness
-        weight = self._rate * precision * told
-        seconds = float(weight @ late) / max(float(weight @ self._rate), TINY)
-        highest = late + SURE / np.sqrt(np.maximum(precision, TINY))
-        return np.asarray(np.minimum(seconds * self._rate, highest).clip(0.0, 1.0))
 
     @property
     def is_known(self) -> BoolArray:
@@ -376,11 +372,13 @@ class ModelError:
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
-        lost = [
-            losses.beyond_chance(pair)[self._better(losses, losses.sigma[:, pair, 1])]
-            for pair in _NOT_FOLLOWED
-        ]
-        self._not_followed = np.where(moments, np.maximum(*lost), self._not_followed)
+        for_play, for_speed = (self._better(losses, losses.sigma[:, i, 1]) for i in _NOT_FOLLOWED)
+        play, speed = (losses.beyond_chance(i) for i in _NOT_FOLLOWED)
+        lost = np.maximum(play[for_play], speed[for_speed])
+        self._not_followed = np.where(moments, lost, self._not_followed)
+        found, sigma = losses.less[for_speed, _SLOW, 1], losses.sigma[for_speed, _SLOW, 1]
+        slow = found, 1.0 / np.maximum(np.square(sigma), ROUNDING)
+        self._slowness = np.where(moments, slow, self._slowness)
         newest = self._settled if k < self._settled < count else count
         blocks = np.arange(self._blocks - newest, self._blocks) % BLOCKS
         self._follow_earliness(self._find(blocks, _LATE[:1], ratio, effect, loading=ROUNDING))
@@ -405,13 +403,15 @@ class ModelError:
         Both are weighted by their precision (inverse-variance weighting). The former leaves with
         time as its blocks would have.
         """
-        sigma = losses.sigma[:, : len(_LATE), _LATE[0].index(_LATENESS)].min(axis=1)
+        rows = np.arange(len(losses.sigma))
+        pair = losses.sigma[:, : len(_LATE), 1].argmin(axis=1)
+        found, sigma = losses.less[rows, pair, 1], losses.sigma[rows, pair, 1]
         better = self._better(losses, sigma)
         precision = 1.0 / np.maximum(np.square(sigma[better]), ROUNDING)
         late, held = self._held
         held = held * np.maximum(1.0 - self._blocks_anew / BLOCKS, 0.0)
         both = held + precision
-        mean = (held * late + precision * losses.late[better]) / both
+        mean = (held * late + precision * found[better]) / both
         moments = losses.informative[: len(ROWS)]
         self._lateness = np.where(moments, (mean, both), self._lateness)
 
@@ -487,13 +487,10 @@ class ModelError:
         level = np.where(np.array(pairs) == _SATURATION, SURE, DOUBTLESS)
         sure = extra**2 > level**2 * variance
         size = np.where(sure, extra * scale[..., -2:], 0.0)
-        # Saturation and attenuation leave different noise in the lateness beside them.
         main_effect = np.maximum(np.abs(whole[..., 0]), POWERLESS)
         bias, error = (alike * np.sqrt(v) / main_effect[..., None] for v in (answered, variance))
-        better = range(len(zf)), error[:, : len(_LATE), 1].argmin(axis=1), 1
-        late = (away - bias)[better]
         rate = scale[range(len(zf)), 0, self._entries] / scale[:, 0, -1]
-        return Losses(away, np.where(sure, away, 0.0), error, rate, size, late, informative)
+        return Losses(away, np.where(sure, away, 0.0), error, rate, size, away - bias, informative)
 
     def _alike(self, scale: FloatArray) -> FloatArray:
         """Return the factors from a share of each row's effect to one of its moment.
@@ -505,6 +502,22 @@ class ModelError:
         alike, of_moment = np.ones_like(shares), self._moments[self._force]
         alike[self._force] = shares[of_moment] / np.maximum(shares[self._force], TINY)
         return alike
+
+
+def _as_others(
+    loss: FloatArray,  # (2, 3) Of each row, and its precision, 1 / sigma^2
+    rate: FloatArray,  # (3,) Loss of each row by the same servo, relative
+    told: BoolArray,  # (3,) Rows that tell of the others
+) -> FloatArray:
+    """Return the loss by servos as in the other rows, in the mean, (3,), 0 ... 1.
+
+    A row counts by its precision. No row loses more than its own evidence allows.
+    """
+    found, precision = loss
+    weight = rate * precision * told
+    lost, rates = (np.add.reduce(weight * a) - weight * a for a in (found, rate))
+    highest = found + SURE / np.sqrt(np.maximum(precision, TINY))
+    return np.asarray(np.minimum(rate * lost / np.maximum(rates, TINY), highest).clip(0.0, 1.0))
 
 
 def _solved(
