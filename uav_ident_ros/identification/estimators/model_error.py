@@ -66,11 +66,7 @@ _LATE = (_SATURATION, _LATENESS), (_ATTENUATION, _LATENESS)
 # Backlash and slowness look late: beside lateness noise hides them
 _PAIRS = (*_LATE, (_ATTENUATION, _SLOWNESS), (_SATURATION, _BACKLASH))
 _WITH_SATURATION = [i for i, pair in enumerate(_PAIRS) if _SATURATION in pair]
-_BEHIND_PLAY, _SLOW = (
-    _PAIRS.index((_SATURATION, _BACKLASH)),
-    _PAIRS.index((_ATTENUATION, _SLOWNESS)),
-)
-_NOT_FOLLOWED = _BEHIND_PLAY, _SLOW
+_SLOW, _LOOSE = len(_LATE), len(_LATE) + 1  # Pairs of slowness and backlash
 
 
 def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
@@ -372,13 +368,12 @@ class ModelError:
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
-        for_play, for_speed = (self._better(losses, losses.sigma[:, i, 1]) for i in _NOT_FOLLOWED)
-        play, speed = (losses.beyond_chance(i) for i in _NOT_FOLLOWED)
-        lost = np.maximum(play[for_play], speed[for_speed])
+        loose, slow = (self._better(losses, losses.sigma[:, i, 1]) for i in (_LOOSE, _SLOW))
+        lost = np.maximum(losses.beyond_chance(_LOOSE)[loose], losses.beyond_chance(_SLOW)[slow])
         self._not_followed = np.where(moments, lost, self._not_followed)
-        found, sigma = losses.less[for_speed, _SLOW, 1], losses.sigma[for_speed, _SLOW, 1]
-        slow = found, 1.0 / np.maximum(np.square(sigma), ROUNDING)
-        self._slowness = np.where(moments, slow, self._slowness)
+        precision = 1.0 / np.maximum(np.square(losses.sigma[slow, _SLOW, 1]), ROUNDING)
+        slowness = losses.less[slow, _SLOW, 1], precision
+        self._slowness = np.where(moments, slowness, self._slowness)
         newest = self._settled if k < self._settled < count else count
         blocks = np.arange(self._blocks - newest, self._blocks) % BLOCKS
         self._follow_earliness(self._find(blocks, _LATE[:1], ratio, effect, loading=ROUNDING))
@@ -513,11 +508,11 @@ def _as_others(
 
     A row counts by its precision. No row loses more than its own evidence allows.
     """
-    found, precision = loss
-    weight = rate * precision * told
-    lost, rates = (np.add.reduce(weight * a) - weight * a for a in (found, rate))
+    found, precision = loss[0].clip(-1.0 / ROUNDING, 1.0 / ROUNDING), loss[1]
+    weight = (1.0 - np.eye(len(ROWS))) * (rate * precision * told)  # Of the others in each row
+    mean = weight @ found / np.maximum(weight @ rate, TINY)
     highest = found + SURE / np.sqrt(np.maximum(precision, TINY))
-    return np.asarray(np.minimum(rate * lost / np.maximum(rates, TINY), highest).clip(0.0, 1.0))
+    return np.asarray(np.minimum(rate * mean, highest).clip(0.0, 1.0))
 
 
 def _solved(
