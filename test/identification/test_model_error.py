@@ -351,6 +351,15 @@ def test_a_row_that_may_be_late_is_as_late_as_the_others(sigma: float, roll: flo
     assert unknown.tolist() == [0.05, 0.8, 0.4]
 
 
+def test_an_infinite_loss_is_that_of_its_row_alone() -> None:
+    """As of an effect of zero: its precision is zero."""
+    error_model = ModelError(LAYOUT)
+    found, precision = np.array([np.inf, 0.1, 0.2]), np.array([0.0, 1e6, 1e6])
+    error_model._lateness, error_model._rate = np.array([found, precision]), np.ones(3)
+    late = error_model.relative_error(KNOWN_ROWS, UNDAMPED)
+    assert late.tolist() == pytest.approx([1.0, 0.103, 0.2], rel=1e-6)
+
+
 def half(error_model: ModelError, seconds: float, **flight: Any) -> float:
     """Return the model error of roll after flying on with half of the effect."""
     samples = rolled(**flight, effect=0.5 * EFFECT, seconds=seconds)
