@@ -677,7 +677,8 @@ class OnlineIdentifier:
                 estimator,
                 self.setup_doubts,
                 math.inf if self._warm else self._learned_time,
-                self.plausibility.likely_axes,
+                # Coefficients known a priori have a sign, which the flight confirms.
+                "" if self._warm else self.plausibility.likely_axes,
             )
         self._news = False
 
