@@ -135,7 +135,7 @@ def _dead(band: float, before: FloatArray, commanded: FloatArray) -> FloatArray:
     return _surfaces(np.where(abs(commanded - before) > band, commanded, before), commanded)
 
 
-def _slow(reach: float, before: FloatArray, commanded: FloatArray) -> FloatArray:
+def slow(reach: float, before: FloatArray, commanded: FloatArray) -> FloatArray:
     """Move by at most `reach` from one command to the next, rad."""
     return _surfaces(np.clip(commanded, before - reach, before + reach), commanded)
 
@@ -201,7 +201,7 @@ IMPERFECTIONS: Mapping[str, Mapping[str, Any]] = {
     "Imu 20 cm ahead": _imu_at(0.2, 0.0, 0.0),
     "Imu 20 cm to the right": _imu_at(0.0, 0.2, 0.0),
     # Servo: 0.2 s for 60 deg, and an arm at 0.4 of the surface's; at 50 commands a second
-    "servos of 2 rad/s": _on_actuators(_slow, 0.04),
+    "servos of 2 rad/s": _on_actuators(slow, 0.04),
     "backlash of 1 deg": _on_actuators(behind, 1.0 * DEGREE),
     "backlash of 2 deg": _on_actuators(behind, 2.0 * DEGREE),
     "dead band of 0.7 deg": _on_actuators(_dead, 0.7 * DEGREE),

@@ -11,7 +11,7 @@ from typing import Any
 import cases
 import numpy as np
 import random_flights
-from imperfections import IMPERFECTIONS, keep, multiply
+from imperfections import IMPERFECTIONS, keep, multiply, slow
 from light_aircraft import LightFlight
 from numpy.typing import ArrayLike
 
@@ -35,6 +35,9 @@ EXCITED, CHANGED = 60.0, 75.0
 
 FAILED = 50.0
 """Time of the failure in the flights of ``jammed`` and ``slowing``, s."""
+
+COMMAND_RATE = 50.0
+"""Rate of the commands, Hz."""
 
 PEAK_TIME = 0.3
 """Time that a servo of ``slowing`` then needs for the peak of the excitation, s."""
@@ -175,6 +178,7 @@ def fly(
     wind: float = 0.0,
     changes: tuple[CoefficientChange, ...] = (),
     jams: bool = False,  # Whether JSBSim's surfaces stay where they are in place of the changes
+    slowing: Sequence[str] = (),  # Surfaces whose servos become slow
     delay: float = DELAY,
     time_constant: float = 0.0,
     sensors: Sensors = SENSORS,
@@ -188,6 +192,8 @@ def fly(
         Segment(inputs, start, until - start, peaks, period or 2.0 / band[0], band, seed=seed)
         for start, until in excitation
     ]
+    if slowing:
+        own["actuators"] = Slowing(min(peaks[name] for name in slowing) / PEAK_TIME, slowing)
     own |= {"delay": delay, "time_constant": time_constant, "seed": seed}
     gusts = ColouredNoise(wind, 0.3)
     if aircraft == "light_aircraft":
@@ -206,7 +212,7 @@ def fly(
             for name, factor in change.factors.items()
         ]  # fmt: skip
         plan = AircraftFlight(
-            segments, duration, 200.0, 50.0, aircraft=aircraft, turbulence=int(wind),
+            segments, duration, 200.0, COMMAND_RATE, aircraft=aircraft, turbulence=int(wind),
             faults=faults, **own,
         )  # fmt: skip
     return spoil(measure(replace(plan.fly(), changes=changes), sensors, seed))
@@ -293,17 +299,16 @@ def _jammed(series: Series) -> Iterator[Trial]:
 class Slowing:
     """Servos of some surfaces that turn at a limited speed, rad/s, from `FAILED` on."""
 
-    def __init__(self, speed: float, surfaces: Sequence[str], rate: float = 50.0) -> None:
-        self._reach, self._rate, self._count = speed / rate, rate, 0
+    def __init__(self, speed: float, surfaces: Sequence[str]) -> None:
+        self._reach, self._count = speed / COMMAND_RATE, 0
         self._slow = np.isin(INPUTS, surfaces)
 
     def __call__(self, before: FloatArray, commanded: FloatArray) -> FloatArray:
         """Return the deflections after a command."""
         self._count += 1
-        if self._count < FAILED * self._rate:
+        if self._count < FAILED * COMMAND_RATE:
             return commanded
-        reached = np.clip(commanded, before - self._reach, before + self._reach)
-        return np.where(self._slow, reached, commanded)
+        return np.where(self._slow, slow(self._reach, before, commanded), commanded)
 
 
 def _slowing(series: Series) -> Iterator[Trial]:
@@ -312,10 +317,8 @@ def _slowing(series: Series) -> Iterator[Trial]:
         (("light_aircraft", 0.3), ("c172p", 2), ("T37", 2), ("J3Cub", 1), ("ultra_stick_25e", 1)),
         (("de", "dr", "da"), ("de",), ("da",)),
     ):
-        peaks = PEAKS.get(aircraft) or airframe(aircraft).excitation
-        servos = Slowing(min(peaks[name] for name in surfaces) / PEAK_TIME, surfaces)
         label = f"servos of {', '.join(surfaces)} become slow"
-        yield series.trial(aircraft, label, bank=20.0, wind=wind, actuators=servos)
+        yield series.trial(aircraft, label, bank=20.0, wind=wind, slowing=surfaces)
 
 
 def _thinned(measured: Measurements) -> Measurements:
@@ -345,8 +348,8 @@ def _unmodelled(series: Series) -> Iterator[Trial]:
         ("light_aircraft", "delay 150 ms longer than told", {"actuators.delay": DELAY},
          {**light, "delay": late}),
         ("light_aircraft", "commands saturate", {}, {**light, "travel": 0.04, "scale": 2.5}),
-        *(("light_aircraft", "servos of {servo_speed:g} rad/s, {inputs}".format(**slow), {}, slow)
-          for slow in servos),
+        *(("light_aircraft", "servos of {servo_speed:g} rad/s, {inputs}".format(**servo), {}, servo)
+          for servo in servos),
         ("c172p", "delay 150 ms longer than told", {"actuators.delay": DELAY}, {"delay": late}),
         *((aircraft, label, settings, flight) for aircraft in ("light_aircraft", "c172p", "T37")
           for label, settings, flight in (

@@ -378,8 +378,8 @@ class Confirmation:
         forces = slice(len(ROWS), len(unknown))
         self._odds[:, forces] *= self._known_forces
         for row in np.flatnonzero(unknown[: len(ROWS)]).tolist():
-            own = self._tested == row
-            self._odds[np.ix_(_OF_SIZE, own)] = self._odds[np.ix_(_OF_SIZE, own)].clip(min=0.0)
+            sizes = _OF_SIZE[:, None] & (self._tested == row)
+            self._odds[sizes] = np.maximum(self._odds[sizes], 0.0)
 
     def add(
         self,
@@ -393,13 +393,12 @@ class Confirmation:
     ) -> None:
         """Add whitened samples to the evidence."""
         may_answer = may_answer[self._moments]
-        time = white.y.shape[1] * white.dt
         residual = self._residuals(white, coefficients, may_answer, restarted=restarted)
         squares = np.add.reduce(residual * residual, axis=2)
-        self.fade(time, max_age)
-        keep = math.exp(-time / INDEPENDENT_TIME)
+        self.fade(white.time, max_age)
+        keep = math.exp(-white.time / INDEPENDENT_TIME)
         self._squares = keep * self._squares + squares[: len(_LEFT)] * white.dt
-        self._squares_time = keep * self._squares_time + time
+        self._squares_time = keep * self._squares_time + white.time
         # The residual of the best hypothesis is noise, too, where it exceeds the usual noise.
         least = np.minimum.reduce(self._squares) / self._squares_time
         noise = np.maximum(np.maximum(variance[self._rows], least), NO_VARIANCE)
@@ -437,10 +436,9 @@ class Confirmation:
         explained = white.y[self._rows] - estimated  # by the whole row
         explained[len(ROWS) :] = 0.0  # An inertia changes no force.
         other = _LEFT[:, 0] * (effect - _SIZED * late) + _LEFT[:, 1] * explained
-        time = effect.shape[1] * white.dt
-        self._anew += time
+        self._anew += white.time
         constant_is_known = _SIZED[..., 0] & np.isinf(self._anew)
-        share = np.where(constant_is_known, 0.0, time / np.minimum(self._anew, MEMORY))
+        share = np.where(constant_is_known, 0.0, white.time / np.minimum(self._anew, MEMORY))
         self._mean += share * (other.mean(axis=2) - self._mean)
         tests = np.concatenate((other, other[1:] - self._mean[1:, :, None]))
         return np.asarray(estimated + tests)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model errors: lateness, saturation and backlash of inputs, an Imu above the centre of gravity.
+"""Model errors: late, slow, saturated or loose inputs, an Imu above the centre of gravity.
 
 A servo lag, a limit of travel or of speed, or a play that is not configured leaves little in the
 residual, because damping absorbs most of it. Each row is therefore solved once more with additional
@@ -67,6 +67,7 @@ _LATE = (_SATURATION, _LATENESS), (_ATTENUATION, _LATENESS)
 _PAIRS = (*_LATE, (_ATTENUATION, _SLOWNESS), (_SATURATION, _BACKLASH))
 _WITH_SATURATION = [i for i, pair in enumerate(_PAIRS) if _SATURATION in pair]
 _SLOW, _LOOSE = len(_LATE), len(_LATE) + 1  # Pairs of slowness and backlash
+_OTHERS = 1.0 - np.eye(len(ROWS))  # The other rows of each row
 
 
 def sigma_without_error(sigma: FloatArray, value: FloatArray, share: FloatArray) -> FloatArray:
@@ -109,7 +110,7 @@ class Losses(NamedTuple):
         line: then the rest counts.
         """
         curved, error = (a[:, _WITH_SATURATION, 0] for a in (self.sure, self.sigma))
-        backlash, size = self.found[:, -1, 1], np.abs(curved)
+        backlash, size = self.found[:, _LOOSE, 1], np.abs(curved)
         straight = np.clip(-backlash * np.sign(curved[:, -1]), 0.0, size[:, -1])
         size[:, -1] -= straight
         better = range(len(error)), error.argmin(axis=1)
@@ -161,9 +162,9 @@ class ModelError:
         # Loss by lateness, significant or not, beyond what feedback may cause, and its precision,
         # 1 / sigma^2; those of before a row began anew, and the number of its blocks since
         self._lateness, self._held = np.zeros((2, 2, len(ROWS)))
-        # Loss by a limit of speed, significant or not, and its precision
-        self._slowness: FloatArray = np.zeros((2, len(ROWS)))
         self._blocks_anew = np.full(len(ROWS), BLOCKS)
+        # Loss by a limit of speed, as that by lateness, and its precision
+        self._slowness: FloatArray = np.zeros((2, len(ROWS)))
         # Of the accelerometer above `imu.lever_arm`, m; 0 where not significant
         self.height = 0.0
 
@@ -184,12 +185,12 @@ class ModelError:
         """Return the most likely error of each row, (3,): `lost`, lateness or earliness.
 
         Lateness counts before it is significant: noise must not hide a servo that is too slow for
-        its commands. Servos are mostly alike, and quick damping hides their lag, so a row that may
-        be as late as the others are is taken to be so. Delay and lag are one setting for all
-        inputs, and an error of it makes all of them early. The largest earliness of the rows
-        `known` therefore counts for all, unless one of them would show it and shows none: by gusts
-        one alone looks early. With the damping a, inputs that are early by T look early by
-        T / (1 + a T). The yaw of a multirotor counts for itself alone: the inertia of the `rotors`
+        its commands. Servos are mostly alike, and quick damping hides what they lose, so a row that
+        may be as late or slow as the others are is taken to be so. Delay and lag are one setting
+        for all inputs, and an error of it makes all of them early. The largest earliness of the
+        rows `known` therefore counts for all, unless one of them would show it and shows none: by
+        gusts one alone looks early. With the damping a, inputs that are early by T look early by T
+        / (1 + a T). The yaw of a multirotor counts for itself alone: the inertia of the `rotors`
         turns the vehicle while their speed changes, before their drag does.
 
         No input acts before its command. It looks early by more than its `delay` because stamps are
@@ -368,12 +369,7 @@ class ModelError:
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
-        loose, slow = (self._better(losses, losses.sigma[:, i, 1]) for i in (_LOOSE, _SLOW))
-        lost = np.maximum(losses.beyond_chance(_LOOSE)[loose], losses.beyond_chance(_SLOW)[slow])
-        self._not_followed = np.where(moments, lost, self._not_followed)
-        precision = 1.0 / np.maximum(np.square(losses.sigma[slow, _SLOW, 1]), ROUNDING)
-        slowness = losses.less[slow, _SLOW, 1], precision
-        self._slowness = np.where(moments, slowness, self._slowness)
+        self._follow_servos(losses)
         newest = self._settled if k < self._settled < count else count
         blocks = np.arange(self._blocks - newest, self._blocks) % BLOCKS
         self._follow_earliness(self._find(blocks, _LATE[:1], ratio, effect, loading=ROUNDING))
@@ -391,6 +387,16 @@ class ModelError:
     def _is_shown_by_force(self, losses: Losses) -> bool:
         """Return whether the rudder's side force is known and informative."""
         return self._force_is_known and bool(losses.informative[_SIDE_FORCE])
+
+    def _follow_servos(self, losses: Losses) -> None:
+        """Take over backlash and slowness."""
+        moments = losses.informative[: len(ROWS)]
+        loose, slow = (self._better(losses, losses.sigma[:, i, 1]) for i in (_LOOSE, _SLOW))
+        lost = np.maximum(losses.beyond_chance(_LOOSE)[loose], losses.beyond_chance(_SLOW)[slow])
+        self._not_followed = np.where(moments, lost, self._not_followed)
+        precision = 1.0 / np.maximum(np.square(losses.sigma[slow, _SLOW, 1]), ROUNDING)
+        slowness = losses.less[slow, _SLOW, 1], precision
+        self._slowness = np.where(moments, slowness, self._slowness)
 
     def _follow_lateness(self, losses: Losses) -> None:
         """Take over the lateness, averaged with that of before the rows began anew.
@@ -509,7 +515,7 @@ def _as_others(
     A row counts by its precision. No row loses more than its own evidence allows.
     """
     found, precision = loss[0].clip(-1.0 / ROUNDING, 1.0 / ROUNDING), loss[1]
-    weight = (1.0 - np.eye(len(ROWS))) * (rate * precision * told)  # Of the others in each row
+    weight = _OTHERS * (rate * precision * told)  # Of the others in each row
     mean = weight @ found / np.maximum(weight @ rate, TINY)
     highest = found + SURE / np.sqrt(np.maximum(precision, TINY))
     return np.asarray(np.minimum(rate * mean, highest).clip(0.0, 1.0))
