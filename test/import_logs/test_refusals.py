@@ -36,7 +36,7 @@ from ulog_writing import commands, keyed, message, stamps, write_ulog
 from uav_ident_ros.bags.reading import Bag
 from uav_ident_ros.import_logs.cli import DAMAGED
 from uav_ident_ros.import_logs.dataflash import SYNC, read_dataflash
-from uav_ident_ros.import_logs.flight_log import Findings
+from uav_ident_ros.import_logs.log import Findings
 from uav_ident_ros.import_logs.px4_log import MAGIC, read_ulog
 from uav_ident_ros.import_logs.stamps import NS_PER_S, plausible
 

@@ -23,13 +23,11 @@ from uav_ident_ros.import_logs.flight_log import (
     Choice,
     Effect,
     FlightLog,
-    ImportLogError,
-    LogStream,
     effect_of,
     effects_of_arms,
     named_once,
 )
-from uav_ident_ros.import_logs.log import Log, Messages
+from uav_ident_ros.import_logs.log import ImportLogError, Log, LogStream, Messages
 
 KNOWN = table("ardupilot")
 SURFACES, THROTTLES, MOTORS = KNOWN["surfaces"], KNOWN["throttles"], KNOWN["motors"]

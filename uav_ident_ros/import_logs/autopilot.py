@@ -20,13 +20,10 @@ from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
-    Findings,
     FlightLog,
-    LogStream,
     effect_of,
-    rates_stream,
 )
-from uav_ident_ros.import_logs.log import Log, Messages
+from uav_ident_ros.import_logs.log import Findings, Log, LogStream, Messages
 from uav_ident_ros.import_logs.stamps import (
     Stretches,
     coverage,
@@ -258,20 +255,22 @@ class Import:
         usable = self._find("rates", fields, self.log.messages)
         name = self._choose(usable)
         messages = usable[name]
-        rates, force = messages.values(*fields[name]), self._force(name, messages)
-        stream = rates_stream(messages.name, messages.sample_ns, rates, force)
+        measured = np.hstack([messages.values(*fields[name]), self._force(name, messages)])
         if turned := self.table["orientation"]["turned"].get(name):
             self.note_orientation(turned)
-        self.turn(name, messages, stream.values)
+        self.turn(name, messages, measured)
         sensor = self.table["gyros"].get(name, name)
         if len(instances := self.log.instances(sensor)) > 1:
             self.findings.read.append(f"instances {instances} of {sensor} (--rates-instance)")
-        return stream
+        return LogStream(messages.name, messages.sample_ns, measured)
 
     def _actuators(self) -> Actuators:
         """Read the commands that the user chose, or the best of those with known effects."""
         readers = self.readers()
-        usable = self._find("actuators", dict.fromkeys(readers, ()), self.commands)
+        demands = {name: self.table["controls"].get(name, {}).items() for name in readers}
+        acting = {name: [f for f, entry in fields if any(effect_of(entry))]
+                  for name, fields in demands.items()}  # fmt: skip
+        usable = self._find("actuators", acting, self.commands)
         name = self._choose(self.explained(usable))
         commands, channels = readers[name](usable[name])
         self.findings.read.append(f"actuators: {commands.source}{self.table['stamped']}")
@@ -289,50 +288,41 @@ class Import:
     def demands(self, messages: Messages) -> Actuators:
         """Read the commands before the mixer; the table has the channel of each field."""
         known = self.table["controls"][messages.name.partition("[")[0]]
-        channels = {
-            field: Channel(
-                entry["name"],
-                effect_of(entry),
-                f"{messages.name}.{field}",
-                1.0 / entry.get("unit", 1.0),
-            )
-            for field, entry in known.items()
-        }
-        there = [field for field in channels if messages.has(field)]
-        acting = [field for field, channel in channels.items() if any(channel.effect)]
-        if missing := [field for field in acting if field not in there]:
-            raise self.log.refusal(
-                f": {messages.name} has no {', '.join(missing)}; it has "
-                f"{', '.join(messages.columns)}"
-            )
-        return messages.stream(*there), [channels[field] for field in there]
+        there = [field for field in known if messages.has(field)]
+        channels = []
+        for field in there:
+            name, effect = known[field]["name"], effect_of(known[field])
+            scale = 1.0 / known[field].get("unit", 1.0)
+            channels.append(Channel(name, effect, f"{messages.name}.{field}", scale))
+        return messages.stream(*there), channels
 
-    def note_orientation(self, consequence: str) -> None:
-        """Add the board orientation to the findings; `consequence` gives its use on the rates."""
+    def note_orientation(self, consequence: str) -> list[float] | None:
+        """Return roll, pitch, yaw of the board, deg, None if unknown; add them to the findings.
+
+        `consequence` gives their use on the rates.
+        """
         parameter = self.table["orientation"]["parameter"]
-        if parameter not in self.log.parameters:
-            self.findings.assumed.append(
-                f"the log has no {parameter}: rotation none ({consequence})"
-            )
-            return
         number = int(self.log.parameter(parameter))
-        angles = table("rotations").get(number)
+        angles: list[float] | None = table("rotations").get(number)
+        fine = [self.log.parameter(name) for name in self.table["orientation"]["fine"]]
         turns = f"rotation {number}"
         if angles is not None:
             named = zip(("roll", "pitch", "yaw"), angles, strict=True)
             turns = " ".join(f"{axis} {angle:g} deg" for axis, angle in named if angle) or "none"
-        if any(fine := self.fine_angles()):
+        if any(fine):
             turns += ", fine offsets {:.2f} {:.2f} {:.2f} deg".format(*fine)
-        self.findings.read.append(
-            f"board orientation: {parameter} {number}, {turns}; {consequence}"
-        )
+        if parameter in self.log.parameters:
+            self.findings.read.append(
+                f"board orientation: {parameter} {number}, {turns}; {consequence}"
+            )
+        else:
+            self.findings.assumed.append(
+                f"the log has no {parameter}: rotation none ({consequence})"
+            )
+        return angles
 
-    def fine_angles(self) -> list[float]:
-        """Return the fine offsets of the board orientation: roll, pitch, yaw, deg."""
-        return [self.log.parameter(name) for name in self.table["orientation"]["fine"]]
-
-    def _force(self, kind: str, rates: Messages) -> FloatArray | None:
-        """Return the specific force, from the messages of the rates or from other fast ones."""
+    def _force(self, kind: str, rates: Messages) -> FloatArray:
+        """Return the specific force of the rates' messages or of other fast ones, else NaN."""
         forces = self.table["force"]
         if kind in forces and rates.has(*forces[kind]):
             return rates.values(*forces[kind])
@@ -345,7 +335,7 @@ class Import:
                 )
                 return interpolate(rates.sample_ns, messages.sample_ns, messages.values(*fields))
         self.findings.lost.append("there is no accelerometer at a useful rate: ay and az are zero")
-        return None
+        return np.full((len(rates.stamp_ns), 3), np.nan)
 
     # --- the rest ---------------------------------------------------------------------------------
 
@@ -366,11 +356,9 @@ class Import:
             if name.startswith(imported)
         ]
         return FlightLog(
-            self.log.path,
-            self.log.title,
+            self.log,
             streams,
             tuple(channels),
-            self.findings,
             convention=self.table["convention"],
             lever_arm=self._lever_arm(),
             flown=self.flown,

@@ -16,11 +16,9 @@ from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
     FlightLog,
-    ImportLogError,
-    LogStream,
     effects_of_arms,
 )
-from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
+from uav_ident_ros.import_logs.log import IN_NS, Column, ImportLogError, Log, LogStream, Messages
 from uav_ident_ros.messages.types import NS_PER_US
 
 MAGIC = b"H Product:Blackbox flight data recorder"

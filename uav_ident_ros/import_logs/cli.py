@@ -7,7 +7,7 @@ import shlex
 import sys
 import textwrap
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +21,9 @@ from uav_ident_ros.import_logs.flight_log import (
     TRIMS,
     Choice,
     FlightLog,
-    ImportLogError,
     printable,
 )
+from uav_ident_ros.import_logs.log import ImportLogError
 from uav_ident_ros.import_logs.px4 import read_px4
 from uav_ident_ros.import_logs.stamps import describe, irregularities
 
@@ -119,14 +119,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if folder.exists():
             raise ImportLogError(f"'{folder}' exists already: choose another --output")
-        log = read_log(options)
-        values = fitting(log, options.trim, options.airspeed)
-        write_import(log, values, folder)
+        flight = read_log(options)
+        values = fitting(flight, options.trim, options.airspeed)
+        write_import(flight, values, folder)
     except (ImportLogError, BagWriteError) as error:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
-    print(f"{log.path.name}: {log.title}")
-    for title, sentences in log_summary(log, values).items():
+    print(f"{flight.log.path.name}: {flight.log.title}")
+    for title, sentences in log_summary(flight, values).items():
         print(f"\n{title}")
         for sentence in sentences:
             print(
@@ -136,13 +136,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
     following = shlex.join(["replay", str(folder), "--params-file", str(folder / PARAMETER_FILE)])
     print(f"\nwritten to {folder}; next: {following}")
-    return DAMAGED if log.findings.damage else 0
+    return DAMAGED if flight.log.findings.damage else 0
 
 
 def read_log(options: argparse.Namespace) -> FlightLog:
     """Read the log by the options; every failure of a reader becomes an `ImportLogError`."""
     try:
-        log = _read(options.log, options)
+        flight = _read(options.log, options)
     except ImportLogError:
         raise
     except Exception as error:  # damaged bytes make readers fail in any way
@@ -150,11 +150,11 @@ def read_log(options: argparse.Namespace) -> FlightLog:
         raise ImportLogError(
             f"log '{options.log}' cannot be used: its content is inconsistent ({reason})"
         ) from error
-    log = replace(log, title=printable(log.title, LONGEST_TITLE))
+    flight.log.title = printable(flight.log.title, LONGEST_TITLE)
     if options.flight_only:
-        log = log.only_flight()
-    _note_streams(log)
-    return log
+        flight = flight.only_flight()
+    _note_streams(flight)
+    return flight
 
 
 def _read(path: Path, options: argparse.Namespace) -> FlightLog:
@@ -200,15 +200,16 @@ def _first_bytes(path: Path) -> bytes:
     return start
 
 
-def _note_streams(log: FlightLog) -> None:
+def _note_streams(flight: FlightLog) -> None:
     """Add rates, gaps and other irregularities of the streams to the findings."""
-    for name, stream in log.streams.items():
+    findings = flight.log.findings
+    for name, stream in flight.streams.items():
         if name != CHANGES:
-            log.findings.read.append(f"{name}: {describe(stream.t_ns)}")
-            log.findings.lost += [f"{name}: {text}" for text in irregularities(stream.t_ns)]
-    values = log.streams["actuators"].values[:, [column for column, _ in log.used]]
+            findings.read.append(f"{name}: {describe(stream.t_ns)}")
+            findings.lost += [f"{name}: {text}" for text in irregularities(stream.t_ns)]
+    values = flight.streams["actuators"].values[:, [column for column, _ in flight.used]]
     if without := int((~np.isfinite(values)).any(axis=1).sum()):
-        log.findings.lost.append(
+        findings.lost.append(
             f"actuators: {without} samples lack a value of a channel in use, as of a motor that is "
             "off: they will be dropped"
         )

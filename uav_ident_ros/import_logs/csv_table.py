@@ -24,14 +24,8 @@ from uav_ident_ros.files.strict_yaml import (
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.settings import nearest
 from uav_ident_ros.identification.structure import INPUTS, FloatArray
-from uav_ident_ros.import_logs.flight_log import (
-    Channel,
-    FlightLog,
-    ImportLogError,
-    LogStream,
-    rates_stream,
-)
-from uav_ident_ros.import_logs.log import IN_NS, Column, Log, Messages
+from uav_ident_ros.import_logs.flight_log import Channel, FlightLog
+from uav_ident_ros.import_logs.log import IN_NS, Column, ImportLogError, Log, LogStream, Messages
 from uav_ident_ros.import_logs.stamps import BEYOND_STAMPS_NS
 
 UNIT_FACTORS: Mapping[str, Mapping[str, float]] = {
@@ -183,16 +177,7 @@ def read_csv(path: Path, columns: ColumnMap) -> FlightLog:
         "the stamp of a row is that of all its values, unfiltered; the table does not say when it "
         "flew"
     )
-    return FlightLog(
-        path,
-        log.title,
-        streams,
-        channels,
-        log.findings,
-        convention=columns.axes,
-        lever_arm=columns.lever_arm,
-        hovers=hovers,
-    )
+    return FlightLog(log, streams, channels, columns.axes, columns.lever_arm, hovers=hovers)
 
 
 def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, LogStream]:
@@ -220,8 +205,10 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, LogStream]:
             raise EntryError(f"it has no {what}: columns {', '.join(names)} are empty")
         streams[what] = stream.chosen(there)
 
-    rates = rates_stream(rows.name, t_ns, measured["rates"], measured.get("specific_force"))
-    add("rates", columns.quantities["rates"][0], rates)
+    rates = measured["rates"]
+    force = measured.get("specific_force", np.full(rates.shape, np.nan))
+    moved = LogStream(rows.name, t_ns, np.hstack([rates, force]))
+    add("rates", columns.quantities["rates"][0], moved)
     add("actuators", columns.channels, rows.stream(*columns.channels), np.any)
     if "airspeed" in measured:
         speed = LogStream(rows.name, t_ns, measured["airspeed"][:, 0])

@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result of every reader of logs: streams of samples, channels with their effects, findings."""
+"""Result of every reader of logs: streams of samples, and channels with their effects."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import BoolArray, FloatArray
-from uav_ident_ros.import_logs.stamps import Stretches, hold, inside
+from uav_ident_ros.import_logs.log import Log, LogStream
+from uav_ident_ros.import_logs.stamps import Stretches, inside
 
 Effect = tuple[float, float, float, float]
 """Share of a channel in de, dr, da, dth; see `Channel`. The autopilots count pitch up and yaw right
@@ -35,17 +33,9 @@ at full, the others at zero. As in config/px4_quadrotor.yaml."""
 LONGEST_LINE, LONGEST_TITLE = 2000, 120
 """Most characters of a message and of a title: damaged files have names of any length."""
 
-JOIN_NS = 200_000
-"""Longest time between samples of two topics from one cycle of the controller, ns. Cycles take
-about 1 ms or more; the messages of one cycle are some microseconds apart."""
-
 TRIMS = ("flight", "neutral", "learn")
 """Sources of the trim: the median in flight, the channels' rest positions, or the identifier's
 estimate from the first steady stretch."""
-
-
-class ImportLogError(Exception):
-    """A log cannot be imported; the message names the file and the reason."""
 
 
 @dataclass(frozen=True)
@@ -133,67 +123,19 @@ def rotor_effects(
     """Return the effects of upward rotors; the weights of each rotation sum to `ROTATION_RANGE`."""
     thrust = np.asarray(thrusts, dtype=float)
     forward, right = positions.T
-    rows = np.array([-right, forward, moment_ratios]) * thrust
+    rows = np.array([-forward, -np.asarray(moment_ratios), -right]) * thrust
     rows[np.abs(rows) < 1e-9 * max(np.abs(rows).max(), 1e-9)] = 0.0
     size = np.abs(rows).sum(axis=1, keepdims=True)
     rows = ROTATION_RANGE * np.divide(rows, size, out=np.zeros_like(rows), where=size > 0.0)
-    names = ("roll", "pitch", "yaw", "thrust")
-    columns = np.vstack([rows, thrust / thrust.sum()]).T.tolist()
-    return [effect_of(dict(zip(names, column, strict=True))) for column in columns]
-
-
-@dataclass(frozen=True, eq=False)
-class LogStream:
-    """Samples of one kind."""
-
-    source: str  # Messages or topic in the log
-    t_ns: TimeArray  # (n,) Stamps, ns, in the order of the log
-    values: NDArray[Any]  # (n, ...) Values; see `FlightLog.streams`
-
-    def chosen(self, keep: BoolArray) -> LogStream:
-        """Return the stream of the samples with `keep` true."""
-        return LogStream(self.source, self.t_ns[keep], self.values[keep])
-
-    def joined(self, other: LogStream) -> LogStream:
-        """Return both side by side, (n, C1 + C2); each value holds until its stream's next.
-
-        Stamps closer than `JOIN_NS`, of one controller cycle, merge into the later one. Before
-        the first sample of a stream its values are NaN.
-        """
-        every = np.union1d(self.t_ns, other.t_ns)
-        t_ns = every[np.append(np.diff(every) > JOIN_NS, True)]
-        values = np.hstack([hold(t_ns, part.t_ns, part.values) for part in (self, other)])
-        return LogStream(f"{self.source} and {other.source}", t_ns, values)
-
-
-def rates_stream(
-    source: str,
-    t_ns: TimeArray,
-    rates: FloatArray,  # (n, 3) Angular velocity, rad/s
-    force: FloatArray | None,  # (n, 3) Specific force, m/s^2; None if there is none
-) -> LogStream:
-    """Return the stream of angular velocity and specific force, NaN if there is no force."""
-    force = np.full(rates.shape, np.nan) if force is None else force
-    return LogStream(source, t_ns, np.hstack([rates, force]))
-
-
-@dataclass
-class Findings:
-    """Facts, assumptions and defects of an import, a sentence each."""
-
-    damage: list[str] = field(default_factory=list)  # Unreadable parts of the file
-    read: list[str] = field(default_factory=list)  # Facts from the log
-    # Assumptions where the log has no information
-    assumed: list[str] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)  # Missing or doubtful data
+    columns = np.vstack([rows + 0.0, thrust / thrust.sum()]).T  # never -0.0
+    return [(de, dr, da, dth) for de, dr, da, dth in columns.tolist()]
 
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
     """A log in the units, axes and names of this package."""
 
-    path: Path
-    title: str  # Firmware and version, such as ``PX4 v1.15.0``
+    log: Log  # The messages that it was made from, and the findings about them
     # By name; rates and actuators are always present:
     # rates      (n, 6) Angular velocity, rad/s, and specific force, m/s^2, NaN where there is none
     # actuators  (n, C) Raw values of every logged channel, valid from the stamp on
@@ -203,7 +145,6 @@ class FlightLog:
     # mode       (n,) Name of the autopilot's mode, at each change
     streams: Mapping[str, LogStream]
     channels: tuple[Channel, ...]  # Of the actuators; those without effect are only recorded
-    findings: Findings  # Facts, assumptions and defects
     convention: str = "frd"  # Axes of the rates: ``frd`` or ``flu``
     # Accelerometer from the centre of gravity, m, FRD
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -233,14 +174,12 @@ class FlightLog:
         """Return the log without the time on the ground."""
         if not self.flown:
             reason = "it never flew" if self.flown is not None else "it does not say when it flew"
-            raise ImportLogError(f"log '{self.path}': {reason}: leave --flight-only out")
-        self.findings.lost.append("what was logged on the ground is left out (--flight-only)")
+            raise self.log.refusal(f": {reason}: leave --flight-only out")
+        self.log.findings.lost.append("what was logged on the ground is left out (--flight-only)")
         streams = {name: s.chosen(self.in_flight(name)) for name, s in self.streams.items()}
         for name in ("rates", "actuators"):
             if not len(streams[name].t_ns):
-                raise ImportLogError(
-                    f"log '{self.path}' has no {name} in flight: leave --flight-only out"
-                )
+                raise self.log.refusal(f" has no {name} in flight: leave --flight-only out")
         return replace(self, streams=streams)
 
 

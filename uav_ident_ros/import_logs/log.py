@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An autopilot's log in memory: messages as arrays, parameters, findings."""
+"""A log in memory: messages as arrays, parameters, findings."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from uav_ident_ros.identification.samples import TimeArray
-from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.import_logs.flight_log import Findings, ImportLogError, LogStream
-from uav_ident_ros.import_logs.stamps import plausible, rate
+from uav_ident_ros.identification.structure import BoolArray, FloatArray
+from uav_ident_ros.import_logs.stamps import hold, plausible, rate
 from uav_ident_ros.messages.types import NS_PER_US
 
 Column = NDArray[Any]
@@ -27,6 +28,38 @@ GPS was the time of the week, beside T since the start."""
 
 SAMPLED = ("timestamp_sample", "SampleUS")
 """Fields of the sample time of a message's values, us."""
+
+JOIN_NS = 200_000
+"""Longest time between samples of two topics from one cycle of the controller, ns. Cycles take
+about 1 ms or more; the messages of one cycle are some microseconds apart."""
+
+
+class ImportLogError(Exception):
+    """A log cannot be imported; the message names the file and the reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class LogStream:
+    """Samples of one kind."""
+
+    source: str  # Messages or topic in the log
+    t_ns: TimeArray  # (n,) Stamps, ns, in the order of the log
+    values: NDArray[Any]  # (n, ...) Values; see `FlightLog.streams`
+
+    def chosen(self, keep: BoolArray) -> LogStream:
+        """Return the stream of the samples with `keep` true."""
+        return LogStream(self.source, self.t_ns[keep], self.values[keep])
+
+    def joined(self, other: LogStream) -> LogStream:
+        """Return both side by side, (n, C1 + C2); each value holds until its stream's next.
+
+        Stamps closer than `JOIN_NS`, of one controller cycle, merge into the later one. Before
+        the first sample of a stream its values are NaN.
+        """
+        every = np.union1d(self.t_ns, other.t_ns)
+        t_ns = every[np.append(np.diff(every) > JOIN_NS, True)]
+        values = np.hstack([hold(t_ns, part.t_ns, part.values) for part in (self, other)])
+        return LogStream(f"{self.source} and {other.source}", t_ns, values)
 
 
 @dataclass(frozen=True)
@@ -74,6 +107,17 @@ class Messages:
         """Return the values of an array field, shape (k, its length)."""
         count = sum(name.startswith(f"{field}[") for name in self.columns)
         return self.values(*(f"{field}[{i}]" for i in range(count)))
+
+
+@dataclass
+class Findings:
+    """Facts, assumptions and defects of an import, a sentence each."""
+
+    damage: list[str] = field(default_factory=list)  # Unreadable parts of the file
+    read: list[str] = field(default_factory=list)  # Facts from the log
+    # Assumptions where the log has no information
+    assumed: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)  # Missing or doubtful data
 
 
 @dataclass

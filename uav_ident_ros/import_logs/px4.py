@@ -24,13 +24,12 @@ from uav_ident_ros.import_logs.flight_log import (
     Channel,
     Choice,
     FlightLog,
-    LogStream,
     effect_of,
     effects_of_arms,
     named_once,
     rotor_effects,
 )
-from uav_ident_ros.import_logs.log import Log, Messages
+from uav_ident_ros.import_logs.log import Log, LogStream, Messages
 from uav_ident_ros.import_logs.px4_log import read_folder, read_ulog
 from uav_ident_ros.messages.types import PX4_RELATIVE_TIMESTAMP_INVALID
 
@@ -100,15 +99,15 @@ class _Px4(Import):
                 "turned into body axes by its driver"
             )
             return rates
-        number = int(self.log.parameter("SENS_BOARD_ROT"))
-        listed = table("rotations").get(number)
-        if listed is None:
+        turned = self.note_orientation("applied here to sensor_gyro, which is in the board's axes")
+        if turned is None:
+            number = self.log.parameter("SENS_BOARD_ROT")
             raise self.log.refusal(
-                f": SENS_BOARD_ROT is {number}, which is not known: --rates-topic sensor_combined "
-                "or vehicle_angular_velocity needs no rotation"
+                f": SENS_BOARD_ROT is {number:.0f}, which is not known: --rates-topic "
+                "sensor_combined or vehicle_angular_velocity needs no rotation"
             )
-        board = rotation(*np.radians(self.fine_angles())) @ rotation(*np.radians(listed))
-        self.note_orientation("applied here to sensor_gyro, which is in the board's axes")
+        fine = [self.log.parameter(name) for name in KNOWN["orientation"]["fine"]]
+        board = rotation(*np.radians(fine)) @ rotation(*np.radians(turned))
         return np.asarray((rates - self._gyro_offset(gyro)) @ board.T)
 
     def _gyro_offset(self, gyro: Messages) -> FloatArray:

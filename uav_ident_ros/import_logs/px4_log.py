@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from uav_ident_ros.import_logs.binary import CUT_OFF, BinaryLog
-from uav_ident_ros.import_logs.flight_log import ImportLogError
-from uav_ident_ros.import_logs.log import Column, Log
+from uav_ident_ros.import_logs.log import Column, ImportLogError, Log
 
 MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 """First bytes of every ULog file."""

@@ -2,7 +2,7 @@
 """Output of an import: a bag with the standard topics, and the parameters for it."""
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,8 @@ from uav_ident_ros.files.parameter_file import PARAMETER_FILE, load_parameters, 
 from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.import_logs.flight_log import FlightLog, ImportLogError, LogStream, printable
+from uav_ident_ros.import_logs.flight_log import FlightLog, printable
+from uav_ident_ros.import_logs.log import LogStream
 from uav_ident_ros.import_logs.stamps import Stretches, coverage, inside, turned_at
 from uav_ident_ros.messages.types import FRAME_IDS
 
@@ -51,7 +52,7 @@ LOG_TOPICS = {
 """Topic and type of each stream, in the order of writing at equal times."""
 
 
-def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> None:
+def write_import(flight: FlightLog, values: Mapping[str, Any], folder: Path) -> None:
     """Write the bag, and the parameters for it into its folder.
 
     Raises
@@ -59,46 +60,39 @@ def write_import(log: FlightLog, values: Mapping[str, Any], folder: Path) -> Non
     BagWriteError
         If it cannot be written; no partial output remains.
     """
-    streams = dict(log.streams)
+    streams = dict(flight.streams)
     rates = streams["rates"]
     if (attitude := streams.get("attitude")) is not None:
         turned = turned_at(rates.t_ns, attitude.t_ns, attitude.values)
         streams["rates"] = replace(rates, values=np.hstack([rates.values, turned]))
-    if log.flown is not None:
-        streams["armed"] = _armed(log.flown, rates.t_ns)
+    if flight.flown is not None:
+        streams["armed"] = _armed(flight.flown, rates.t_ns)
     with whole(folder) as working:
         with BagWriter(working) as bag:
             recorded = [name for name in LOG_TOPICS if name in streams]
             for name in recorded:
                 profile = qos(500, reliable=False) if name == "rates" else qos(10)
                 bag.topic(*LOG_TOPICS[name], profile)
-            bag.merge(_messages(log, name, streams[name]) for name in recorded)
-        _write_parameters(working / PARAMETER_FILE, log, values)
+            bag.merge(_messages(flight, name, streams[name]) for name in recorded)
+        _write_parameters(working / PARAMETER_FILE, flight, values)
 
 
-def _messages(log: FlightLog, name: str, stream: LogStream) -> Iterator[tuple[int, str, Any]]:
+def _messages(flight: FlightLog, name: str, stream: LogStream) -> Iterator[tuple[int, str, Any]]:
     """Yield log time, topic and message; log times do not decrease, even if stamps do."""
+    topic, msgtype = LOG_TOPICS[name]
+    channels = [channel.name for channel in flight.channels]
+    frame, force = FRAME_IDS[flight.convention], slice(3, 6 if flight.has_force else 3)
+    make: Mapping[str, Callable[[int, Any], Any]] = {
+        "actuators": lambda t_ns, sample: joint_state(t_ns, channels, sample),
+        "rates": lambda t_ns, sample: imu(t_ns, sample[:3], sample[force], frame, sample[6:]),
+        "airspeed": lambda t_ns, sample: twist_stamped(t_ns, (sample, 0.0, 0.0)),
+        "setpoint": lambda t_ns, sample: vector_stamped(t_ns, sample, FRAME_IDS["frd"]),
+        **dict.fromkeys(("mode", "armed"), lambda _, sample: plain(msgtype, sample)),
+    }
     stamp_ns = np.maximum(stream.t_ns, FIRST_NS)
     log_ns = np.maximum.accumulate(stamp_ns).tolist()
     for recorded, t_ns, sample in zip(log_ns, stamp_ns.tolist(), stream.values, strict=True):
-        yield recorded, LOG_TOPICS[name][0], _message(log, name, t_ns, sample)
-
-
-def _message(log: FlightLog, name: str, t_ns: int, sample: Any) -> Any:
-    """Return the message for a sample of a stream."""
-    match name:
-        case "actuators":
-            return joint_state(t_ns, [channel.name for channel in log.channels], sample)
-        case "rates":
-            rates, force, turned = sample[:3].tolist(), sample[3:6].tolist(), sample[6:].tolist()
-            frame = FRAME_IDS[log.convention]
-            return imu(t_ns, rates, force if log.has_force else None, frame, turned)
-        case "airspeed":
-            return twist_stamped(t_ns, (sample.item(), 0.0, 0.0))
-        case "setpoint":
-            return vector_stamped(t_ns, sample.tolist(), FRAME_IDS["frd"])
-        case _:
-            return plain(LOG_TOPICS[name][1], sample.item())
+        yield recorded, topic, make[name](t_ns, sample.tolist())
 
 
 def _armed(flown: Stretches, rates_ns: TimeArray) -> LogStream:
@@ -143,25 +137,25 @@ COMMENT_WIDTH = 96
 
 
 def fitting(
-    log: FlightLog,
+    flight: FlightLog,
     trim: str,  # One of `flight_log.TRIMS`
     airspeed: bool | None,  # Whether to scale with the airspeed; None if measured in flight
 ) -> dict[str, Any]:
     """Return the parameters of the identifier for a log, by dotted name."""
-    channels = [channel for _, channel in log.used]
+    channels = [channel for _, channel in flight.used]
     values: dict[str, Any] = {
         "imu.type": IMU,
-        "imu.convention": log.convention,
-        "imu.lever_arm": list(log.lever_arm),
+        "imu.convention": flight.convention,
+        "imu.lever_arm": list(flight.lever_arm),
         "actuators.type": JOINT_STATE,
         "actuators.channels": [channel.name for channel in channels],
         "actuators.scale": [channel.scale for channel in channels],
-        "actuators.trim": _trim(log, trim),
+        "actuators.trim": _trim(flight, trim),
         "actuators.estimate_delay": True,
     }
-    if not log.has_force:
+    if not flight.has_force:
         values["structure"] = WITHOUT_FORCES
-    elif log.hovers:
+    elif flight.hovers:
         values["structure"] = WITHOUT_WINGS
     if trim == "learn":
         values["actuators.learn_trim_time"] = LEARN_TRIM_TIME
@@ -170,14 +164,14 @@ def fitting(
     moved = [name for name in SIGNS if any(values[f"actuators.mixing.{name}"])]
     if moved:
         values["supervision.expected_signs"] = [SIGNS[name] for name in moved]
-    if log.flown is not None:
+    if flight.flown is not None:
         values["armed.type"] = BOOL
-    return values | _airspeed(log, airspeed)
+    return values | _airspeed(flight, airspeed)
 
 
-def log_summary(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
+def log_summary(flight: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str]]:
     """Return the findings about a log and the description of its inputs, by heading."""
-    channels = [channel for _, channel in log.used]
+    channels = [channel for _, channel in flight.used]
     inputs = []
     for channel, trim in zip(channels, values["actuators.trim"], strict=True):
         scale = f", times {channel.scale:.6g}" if channel.scale != 1.0 else ""
@@ -185,22 +179,23 @@ def log_summary(log: FlightLog, values: Mapping[str, Any]) -> dict[str, list[str
     for i, (name, direction) in enumerate(zip(INPUTS, DIRECTIONS, strict=True)):
         terms = [f"{c.effect[i]:+.4g} {c.name}" for c in channels if c.effect[i]]
         inputs.append(f"{name} ({direction}) = {' '.join(terms) or 'nothing'}")
+    findings = flight.log.findings
     titled = {
-        "Damaged": log.findings.damage,
-        "From the log": log.findings.read,
-        "Assumed": log.findings.assumed,
-        "Missing or doubtful": log.findings.lost,
+        "Damaged": findings.damage,
+        "From the log": findings.read,
+        "Assumed": findings.assumed,
+        "Missing or doubtful": findings.lost,
         "Inputs": inputs,
     }
     return {title: sentences for title, sentences in titled.items() if sentences}
 
 
-def _write_parameters(path: Path, log: FlightLog, values: Mapping[str, Any]) -> None:
+def _write_parameters(path: Path, flight: FlightLog, values: Mapping[str, Any]) -> None:
     """Write the parameter file, with the findings as comments."""
-    titled = log_summary(log, values)
+    log, titled = flight.log, log_summary(flight, values)
     heading = f"What the topics of this bag mean, from '{log.path.name}' ({log.title})."
-    if log.parameters:
-        named = ", ".join(f"{name} {value:g}" for name, value in log.parameters.items())
+    if flight.parameters:
+        named = ", ".join(f"{name} {value:g}" for name, value in flight.parameters.items())
         titled["Parameters of the autopilot"] = [named]
     lines = ["# SPDX-License-Identifier: Apache-2.0", *_comment(heading)]
     for title, sentences in titled.items():
@@ -212,64 +207,62 @@ def _write_parameters(path: Path, log: FlightLog, values: Mapping[str, Any]) -> 
     try:
         Settings.from_values(load_parameters(path, "/identifier"))
     except SettingsError as error:
-        raise ImportLogError(f"log '{log.path}' gives no usable parameters: {error}") from None
+        raise log.refusal(f" gives no usable parameters: {error}") from None
 
 
-def _trim(log: FlightLog, trim: str) -> list[float]:
+def _trim(flight: FlightLog, trim: str) -> list[float]:
     """Return the raw value of each used channel in trimmed flight."""
-    flown = log.streams["actuators"].values[log.in_flight("actuators")]
+    flown = flight.streams["actuators"].values[flight.in_flight("actuators")]
     result = []
-    for column, channel in log.used:
+    for column, channel in flight.used:
         raw = flown[np.isfinite(flown[:, column]), column]
         usual = float(np.median(raw)) if trim == "flight" and len(raw) else channel.neutral
         result.append(usual if channel.trim is None else channel.trim)
     return result
 
 
-def _airspeed(log: FlightLog, use: bool | None) -> dict[str, Any]:
-    if use and "airspeed" not in log.streams:
-        raise ImportLogError(f"log '{log.path}' has no airspeed: leave --airspeed out")
+def _airspeed(flight: FlightLog, use: bool | None) -> dict[str, Any]:
+    """Return the parameters of the airspeed: its message, if it is used, and its usual value."""
+    findings, ground = flight.log.findings, flight.ground_speed
+    if use and "airspeed" not in flight.streams:
+        raise flight.log.refusal(" has no airspeed: leave --airspeed out")
     values: dict[str, Any] = {}
-    speed = _flown_speed(log)
+    speed = _flown_speed(flight)
+    median = f"in flight its median is {speed:.3g} m/s"
     if use if use is not None else speed >= SLOWEST_FLIGHT:
         values["airspeed.type"] = TWIST
-        log.findings.read.append(f"the airspeed is used; in flight its median is {speed:.3g} m/s")
-    elif "airspeed" in log.streams:
-        reason = (
-            f"in flight its median is {speed:.3g} m/s"
-            if speed
-            else "it was not measured for most of the flight"
-        )
-        log.findings.lost.append(f"the airspeed is not used: {reason}")
-    usual = speed or log.ground_speed
-    if usual >= SLOWEST_FLIGHT:
+        findings.read.append(f"the airspeed is used; {median}")
+    elif "airspeed" in flight.streams:
+        reason = median if speed else "it was not measured for most of the flight"
+        findings.lost.append(f"the airspeed is not used: {reason}")
+    if (usual := speed or ground) >= SLOWEST_FLIGHT:
         values["airspeed.reference"] = round(min(usual, FASTEST), 3)
-    if speed >= SLOWEST_FLIGHT or log.hovers:
+    if speed >= SLOWEST_FLIGHT or flight.hovers:
         return values
-    if log.ground_speed >= SLOWEST_FLIGHT:
-        log.findings.assumed.append(
-            f"airspeed.reference is the median speed over ground, {log.ground_speed:.3g} m/s"
+    if ground >= SLOWEST_FLIGHT:
+        findings.assumed.append(
+            f"airspeed.reference is the median speed over ground, {ground:.3g} m/s"
         )
     else:
-        log.findings.lost.append(
+        findings.lost.append(
             "no speed of flight is in the log: set airspeed.reference to the usual airspeed, at "
             "which the coefficients hold"
         )
     return values
 
 
-def _flown_speed(log: FlightLog) -> float:
+def _flown_speed(flight: FlightLog) -> float:
     """Return the median airspeed in flight, m/s; 0 if it was measured for too little of it."""
-    if (airspeed := log.streams.get("airspeed")) is None:
+    if (airspeed := flight.streams.get("airspeed")) is None:
         return 0.0
-    rates = log.streams["rates"].t_ns
-    flown = airspeed.chosen(log.in_flight("airspeed") & (airspeed.values > 0.0))
-    flight = log.flown or [(int(rates.min()), int(rates.max()))]
+    rates = flight.streams["rates"].t_ns
+    measured = airspeed.chosen(flight.in_flight("airspeed") & (airspeed.values > 0.0))
+    flown = flight.flown or [(int(rates.min()), int(rates.max()))]
     # Relative to the rates: joined recordings, or a paused logger, have gaps in all streams.
-    logged = coverage(rates, flight, SLOWEST_NS)
-    if coverage(flown.t_ns, flight, SLOWEST_NS) < ENOUGH_AIRSPEED * logged:
+    logged = coverage(rates, flown, SLOWEST_NS)
+    if coverage(measured.t_ns, flown, SLOWEST_NS) < ENOUGH_AIRSPEED * logged:
         return 0.0
-    return float(np.median(flown.values))
+    return float(np.median(measured.values))
 
 
 def _comment(text: str, first: str = "", other: str = "") -> list[str]:
