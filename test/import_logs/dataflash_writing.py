@@ -49,6 +49,15 @@ STRUCTURE = {"n": "4s", "N": "16s", "Z": "64s", "M": "B", "c": "h", "C": "H", "e
 """`struct` codes of the format characters that differ; c, C, e, E are hundredths."""
 
 
+def servos(*functions: int, **others: float) -> dict[str, float]:
+    """Return the parameters of pins with these functions, and others."""
+    values: dict[str, float] = {}
+    for i, function in enumerate(functions, 1):
+        values |= {f"SERVO{i}_FUNCTION": function, f"SERVO{i}_MIN": 1100, f"SERVO{i}_MAX": 1900}
+        values |= {f"SERVO{i}_TRIM": 1500, f"SERVO{i}_REVERSED": 0}
+    return values | others
+
+
 Rows = list[tuple[int, str, tuple[Any, ...]]]
 """Time (in the format's unit), type and values of messages; missing last values are zero."""
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataflash_writing import OLD_FORMATS, Rows, write_dataflash
+from dataflash_writing import OLD_FORMATS, Rows, servos, write_dataflash
 from excerpts import decoded
 from imported import Imported, Importer, mixing
 
@@ -34,14 +34,6 @@ def imu(instance: int = 0, factor: float = 1.0) -> Rows:
 
 def rcou(every: int = 1, pulses: np.ndarray = PULSES) -> Rows:
     return at(COMMAND_US[::every], "RCOU", pulses[::every])
-
-
-def servos(*functions: int, **others: float) -> dict[str, float]:
-    values: dict[str, float] = {}
-    for i, function in enumerate(functions, 1):
-        values |= {f"SERVO{i}_FUNCTION": function, f"SERVO{i}_MIN": 1100, f"SERVO{i}_MAX": 1900}
-        values |= {f"SERVO{i}_TRIM": 1500, f"SERVO{i}_REVERSED": 0}
-    return values | others
 
 
 PLANE = servos(4, 19, 70, 21, AHRS_ORIENTATION=8)

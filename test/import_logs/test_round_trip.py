@@ -4,11 +4,11 @@ within the resolution of the format."""
 
 import math
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from dataflash_writing import Rows, write_dataflash
+from dataflash_writing import Rows, servos, write_dataflash
 from excerpts import BAGS, replay, summary
 from good_logs import table
 from imported import Imported, Importer, contents, flight, mixing
@@ -26,15 +26,7 @@ FIXED_WING = {
     "CA_SV_CS2_TYPE": 15, "CA_SV_CS2_TRQ_R": 1.0,
 }  # fmt: skip
 
-PLANE = {
-    "SERVO1_FUNCTION": 19, "SERVO1_REVERSED": 0,
-    "SERVO2_FUNCTION": 21, "SERVO2_REVERSED": 1,
-    "SERVO3_FUNCTION": 4, "SERVO3_REVERSED": 0,
-    "SERVO4_FUNCTION": 70, "SERVO4_REVERSED": 0,
-    "AHRS_ORIENTATION": 0, "INS_GYRO_FILTER": 20.0,
-    **{f"SERVO{i}_{limit}": value for i in range(1, 5)
-       for limit, value in (("MIN", 1000), ("TRIM", 1500), ("MAX", 2000))},
-}  # fmt: skip
+PLANE = servos(19, 21, 4, 70, SERVO2_REVERSED=1, INS_GYRO_FILTER=20.0)
 
 PLAIN_SIGNS = np.array([-1.0, -1.0, 1.0, 1.0])
 """Signs of elevator, rudder, aileron and throttle in the autopilots, relative to the simulation."""
@@ -45,10 +37,7 @@ def measured() -> Measurements:
     return flight()
 
 
-Samples = Measurements | SimpleNamespace
-
-
-def px4_topics(measured: Samples, *actuators: tuple[str, np.ndarray, str]) -> dict:
+def px4_topics(measured: Any, *actuators: tuple[str, np.ndarray, str]) -> dict:
     columns = sensor_combined(measured.imu_t_ns, measured.rates, measured.specific_force)
     topics = {("sensor_combined", 0): columns}
     for name, values, field in actuators:
@@ -56,25 +45,13 @@ def px4_topics(measured: Samples, *actuators: tuple[str, np.ndarray, str]) -> di
     return topics
 
 
-def allocated(measured: Samples) -> dict:
+def allocated(measured: Any) -> dict:
     values = measured.actuators * PLAIN_SIGNS
     return px4_topics(
         measured,
         ("actuator_motors", padded(values[:, 3:], 12), "control"),
         ("actuator_servos", padded(values[:, :3], 8), "control"),
     )
-
-
-def assert_same(measured: Measurements, result: Imported, dtype: type, inputs_off: float) -> None:
-    """Compare the rates to the bit of a type, the inputs about their trim within a tolerance."""
-    bag = result.bag
-    np.testing.assert_array_equal(bag.imu_t_ns, measured.imu_t_ns)
-    np.testing.assert_array_equal(bag.rates, measured.rates.astype(dtype))
-    np.testing.assert_array_equal(bag.specific_force, measured.specific_force.astype(dtype))
-    assert bag.frame_ids == {measured.frame_id} == {"base_link_frd"}
-    np.testing.assert_array_equal(bag.actuator_t_ns, measured.actuator_t_ns)
-    expected = measured.actuators - np.median(measured.actuators, axis=0)
-    np.testing.assert_allclose(inputs(result), expected, rtol=0.0, atol=inputs_off)
 
 
 def inputs(result: Imported) -> np.ndarray:
@@ -84,16 +61,85 @@ def inputs(result: Imported) -> np.ndarray:
     return (off_trim * result.values["actuators.scale"]) @ mixing(result.values).T
 
 
-TO_FRD = np.array([1.0, -1.0, -1.0])
+Written = tuple[list[str], np.ndarray]
+"""Arguments that import a log, and the commands in it."""
 
 
-def test_new_px4_round_trip(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    result = importer(write_ulog(tmp_path / "new.ulg", allocated(measured), FIXED_WING))
-    assert_same(measured, result, np.float32, 1e-7)
-    assert result.bag.names == ["motor_1", "elevator", "rudder", "aileron"]
-    raw = (measured.actuators * PLAIN_SIGNS).astype(np.float32)
-    np.testing.assert_array_equal(result.bag.actuators, raw[:, [3, 0, 1, 2]])
-    assert "0.30 ms after the gyro sample" in result.printed
+def px4_log(folder: Path, measured: Measurements) -> Written:
+    raw = (measured.actuators * PLAIN_SIGNS)[:, [3, 0, 1, 2]]
+    log = write_ulog(folder / "new.ulg", allocated(measured), FIXED_WING)
+    return [str(log)], raw.astype(np.float32)
+
+
+def ardupilot_log(folder: Path, measured: Measurements) -> Written:
+    """Write single floats, and commands in whole microseconds, 800 for the whole range."""
+    signs = PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
+    pulses = np.rint([1500, 1500, 1500, 1100] + [400, 400, 400, 800] * measured.actuators * signs)
+    moved = np.hstack([measured.rates, measured.specific_force]).tolist()
+    rows: Rows = [(0, "MSG", (b"ArduPlane V4.5.0 (test)",))]
+    rows += [
+        (int(t), "IMU", (0, *v)) for t, v in zip(stamps(measured.imu_t_ns), moved, strict=True)
+    ]
+    written_us = stamps(measured.actuator_t_ns)
+    rows += [(int(t), "RCOU", tuple(v)) for t, v in zip(written_us, pulses, strict=True)]
+    return [str(write_dataflash(folder / "plane.bin", rows, PLANE))], pulses
+
+
+def csv_log(folder: Path, measured: Measurements) -> Written:
+    """Write both streams into one table, with empty cells where a stream has no sample."""
+    cells: dict[int, list[str]] = {}
+    moved = np.hstack([measured.rates, measured.specific_force])
+    for t_ns, values, first in (
+        (measured.imu_t_ns, moved, 0), (measured.actuator_t_ns, measured.actuators, 6)
+    ):  # fmt: skip
+        for t, row in zip(t_ns.tolist(), values.tolist(), strict=True):
+            cells.setdefault(t, [""] * 10)[first : first + len(row)] = map(repr, row)
+    lines = ["t,p,q,r,ax,ay,az,elevator,rudder,aileron,throttle"]
+    lines += [",".join([f"{t // 10**9}.{t % 10**9:09d}", *row]) for t, row in sorted(cells.items())]
+    return table(folder, "\n".join(lines) + "\n", COLUMNS), measured.actuators
+
+
+COLUMNS = """\
+time: {column: t, unit: s}
+axes: frd
+rates: {columns: [p, q, r], unit: rad/s}
+specific_force: {columns: [ax, ay, az]}
+channels:
+  elevator: {de: 1.0}
+  rudder: {dr: 1.0}
+  aileron: {da: 1.0}
+  throttle: {dth: 1.0}
+"""
+
+CHANNELS = ["elevator", "rudder", "aileron", "throttle"]
+
+LOGS = {
+    # writer, type of the rates, resolution of the inputs, channels, notes
+    "px4": (px4_log, np.float32, 1e-7, ["motor_1", *CHANNELS[:3]],
+            ["0.30 ms after the gyro sample"]),
+    "ardupilot": (ardupilot_log, np.float32, 2.0 / 800.0, CHANNELS,
+                  ["ArduPlane V4.5.0", "low-passed at 20 Hz (INS_GYRO_FILTER)"]),
+    "table": (csv_log, np.float64, 0.0, CHANNELS, []),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_round_trip(tmp_path: Path, measured: Measurements, importer: Importer, kind: str) -> None:
+    """A table holds every bit, nanoseconds since 1970 included."""
+    write, dtype, inputs_off, names, notes = LOGS[kind]
+    arguments, raw = write(tmp_path, measured)
+    result = importer(*arguments)
+    bag = result.bag
+    np.testing.assert_array_equal(bag.imu_t_ns, measured.imu_t_ns)
+    np.testing.assert_array_equal(bag.rates, measured.rates.astype(dtype))
+    np.testing.assert_array_equal(bag.specific_force, measured.specific_force.astype(dtype))
+    assert bag.frame_ids == {measured.frame_id} == {"base_link_frd"}
+    np.testing.assert_array_equal(bag.actuator_t_ns, measured.actuator_t_ns)
+    np.testing.assert_array_equal(bag.actuators, raw)
+    assert bag.names == names
+    expected = measured.actuators - np.median(measured.actuators, axis=0)
+    np.testing.assert_allclose(inputs(result), expected, rtol=0.0, atol=inputs_off)
+    assert all(note in result.printed for note in notes)
 
 
 @pytest.mark.parametrize(
@@ -124,59 +170,6 @@ def test_px4_setpoints_replace_actuators_logged_at_a_low_rate(
     np.testing.assert_array_equal(
         mixing(values), [[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
     )
-
-
-def test_ardupilot_round_trip(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    """Rates are single floats, commands whole microseconds, 1000 for the whole range."""
-    signs = PLAIN_SIGNS * [1.0, -1.0, 1.0, 1.0]  # the rudder is reversed
-    pulses = np.rint([1500, 1500, 1500, 1000] + [500, 500, 500, 1000] * measured.actuators * signs)
-    moved = np.hstack([measured.rates, measured.specific_force]).tolist()
-    rows: Rows = [(0, "MSG", (b"ArduPlane V4.5.0 (test)",))]
-    rows += [
-        (int(t), "IMU", (0, *v)) for t, v in zip(stamps(measured.imu_t_ns), moved, strict=True)
-    ]
-    written_us = stamps(measured.actuator_t_ns)
-    rows += [(int(t), "RCOU", tuple(v)) for t, v in zip(written_us, pulses, strict=True)]
-    result = importer(write_dataflash(tmp_path / "plane.bin", rows, PLANE))
-    assert_same(measured, result, np.float32, 2.0 / 1000.0)
-    assert "ArduPlane V4.5.0" in result.printed
-    assert "low-passed at 20 Hz (INS_GYRO_FILTER)" in result.printed
-    assert result.bag.names == ["elevator", "rudder", "aileron", "throttle"]
-    np.testing.assert_array_equal(result.bag.actuators, pulses)
-
-
-def csv_of(measured: Measurements) -> str:
-    """Return both streams in one table, with empty cells where a stream has no sample."""
-    cells: dict[int, list[str]] = {}
-    moved = np.hstack([measured.rates, measured.specific_force])
-    for t_ns, values, first in (
-        (measured.imu_t_ns, moved, 0), (measured.actuator_t_ns, measured.actuators, 6)
-    ):  # fmt: skip
-        for t, row in zip(t_ns.tolist(), values.tolist(), strict=True):
-            cells.setdefault(t, [""] * 10)[first : first + len(row)] = map(repr, row)
-    lines = ["t,p,q,r,ax,ay,az,elevator,rudder,aileron,throttle"]
-    lines += [",".join([f"{t // 10**9}.{t % 10**9:09d}", *row]) for t, row in sorted(cells.items())]
-    return "\n".join(lines) + "\n"
-
-
-COLUMNS = """\
-time: {column: t, unit: s}
-axes: frd
-rates: {columns: [p, q, r], unit: rad/s}
-specific_force: {columns: [ax, ay, az]}
-channels:
-  elevator: {de: 1.0}
-  rudder: {dr: 1.0}
-  aileron: {da: 1.0}
-  throttle: {dth: 1.0}
-"""
-
-
-def test_table_round_trip(tmp_path: Path, measured: Measurements, importer: Importer) -> None:
-    """Decimals hold every bit, nanoseconds since 1970 included."""
-    result = importer(*table(tmp_path, csv_of(measured), COLUMNS))
-    assert_same(measured, result, np.float64, 0.0)
-    np.testing.assert_array_equal(result.bag.actuators, measured.actuators)
 
 
 OTHER_UNITS = """\
@@ -217,6 +210,8 @@ def test_table_units_become_si(tmp_path: Path, measured: Measurements, importer:
     assert values["actuators.trim"] == [1500.0]
     assert values["actuators.mixing.de"] == [1.0]
 
+
+TO_FRD = np.array([1.0, -1.0, -1.0])
 
 SPEED = 53.3
 """Ground speed of the example flight, m/s: the log has no airspeed."""

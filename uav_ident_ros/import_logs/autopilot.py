@@ -127,8 +127,7 @@ class Import:
                 f": '{wanted}' are no messages of {what}: there are {', '.join(fields)}"
             )
         looked_for = [wanted] if wanted else list(fields)
-        there = {name: find(name, instance) for name in looked_for}
-        found = {name: m for name, m in there.items() if m is not None and m.has(*fields[name])}
+        found = {n: m for n in looked_for if (m := find(n, instance)) and m.has(*fields[n])}
         if not found:
             which = f", instance {instance}" if instance else ""
             there_are = ", ".join(sorted(self.log.kinds)) or "no messages at all"
@@ -329,7 +328,7 @@ class Import:
         for name, fields in forces.items():
             there = self.choice.rates_instance in self.log.instances(name)
             messages = self.log.messages(name, self.choice.rates_instance if there else 0)
-            if messages is not None and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
+            if messages and messages.has(*fields) and messages.rate >= ENOUGH_RATE:
                 self.findings.read.append(
                     f"specific force: {messages.name}, interpolated to the stamps of the rates"
                 )
@@ -371,34 +370,33 @@ class Import:
             },
         )
 
-    def _first(self, name: str, *, sampled: bool = False) -> LogStream | None:
+    def _first(self, name: str) -> LogStream | None:
         """Return a stream, (k, C), from the first of its kinds of messages with finite values."""
         for kind, fields in self.table["streams"][name].items():
             messages = self.log.messages(kind)
-            if messages is not None and messages.has(*fields):
+            if messages and messages.has(*fields):
                 values = messages.values(*fields)
                 if np.isfinite(values).any():
                     self._note(kind, messages.name)
-                    t_ns = messages.sample_ns if sampled else messages.stamp_ns
-                    return LogStream(kind, t_ns, values)
+                    return LogStream(kind, messages.sample_ns, values)
         return None
 
     def _estimates(self) -> dict[str, LogStream]:
         """Return the autopilot's airspeed, attitude, rate setpoint and mode, where logged."""
         streams = {}
-        if airspeed := self._first("airspeed", sampled=True):
+        if airspeed := self._first("airspeed"):
             speed = (airspeed.values * self._airspeed_ratio(airspeed))[:, 0]
             streams["airspeed"] = replace(airspeed, values=speed)
-        if attitude := self._first("attitude", sampled=True):
-            if attitude.values.shape[1] == 3:  # roll, pitch, yaw, deg
-                turned = quaternions(*np.radians(attitude.values).T)
-                attitude = replace(attitude, values=turned)
-            streams["attitude"] = attitude
+        if attitude := self._first("attitude"):
+            values = attitude.values
+            if values.shape[1] == 3:  # roll, pitch, yaw, deg
+                values = quaternions(*np.radians(values).T)
+            streams["attitude"] = replace(attitude, values=values)
         if setpoint := self._first("setpoint"):
             fields = ", ".join(self.table["streams"]["setpoint"][setpoint.source])
             self.findings.read.append(f"rate setpoint: {setpoint.source}.{fields}")
-            values = self.table["setpoint_unit"] * setpoint.values
-            streams["setpoint"] = replace(setpoint, values=values)
+            rates = self.table["setpoint_unit"] * setpoint.values
+            streams["setpoint"] = replace(setpoint, values=rates)
         if mode := self._first("mode"):
             ((field,),) = self.table["streams"]["mode"].values()
             numbers = mode.values[:, 0].astype(int)

@@ -126,14 +126,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"import_log: {printable(str(error))}", file=sys.stderr)
         return USAGE_ERROR
     print(f"{flight.log.path.name}: {flight.log.title}")
+    item = textwrap.TextWrapper(LINE_LENGTH, initial_indent="  - ", subsequent_indent="    ")
     for title, sentences in log_summary(flight, values).items():
-        print(f"\n{title}")
-        for sentence in sentences:
-            print(
-                textwrap.fill(
-                    sentence, LINE_LENGTH, initial_indent="  - ", subsequent_indent="    "
-                )
-            )
+        print(f"\n{title}", *map(item.fill, sentences), sep="\n")
     following = shlex.join(["replay", str(folder), "--params-file", str(folder / PARAMETER_FILE)])
     print(f"\nwritten to {folder}; next: {following}")
     return DAMAGED if flight.log.findings.damage else 0

@@ -23,7 +23,7 @@ from uav_ident_ros.files.strict_yaml import (
 )
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.settings import nearest
-from uav_ident_ros.identification.structure import INPUTS, FloatArray
+from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.import_logs.flight_log import Channel, FlightLog
 from uav_ident_ros.import_logs.log import IN_NS, Column, ImportLogError, Log, LogStream, Messages
 from uav_ident_ros.import_logs.stamps import BEYOND_STAMPS_NS
@@ -218,21 +218,17 @@ def _streams(rows: Messages | None, columns: ColumnMap) -> dict[str, LogStream]:
 
 def _check_distinct(rows: Messages, columns: ColumnMap) -> None:
     """Raise an `EntryError` if a column is used twice, unless it is constant, as one of zeros."""
+    used = [(name, entry) for entry, (names, _) in columns.quantities.items() for name in names]
     taken: dict[str, str] = {}
-    used = {name: names for name, (names, _) in columns.quantities.items()}
-    for entry, names in {**used, "channels": list(columns.channels)}.items():
-        for name in names:
-            if name in taken and _varies(rows.values(name)):
-                places = entry if taken[name] == entry else f"{taken[name]} and {entry}"
-                raise EntryError(
-                    f"the column map takes column '{name}' twice, for {places}: name the column "
-                    "of each quantity"
-                )
-            taken[name] = entry
-
-
-def _varies(values: FloatArray) -> bool:
-    return len(np.unique(values[np.isfinite(values)])) > 1
+    for name, entry in [*used, *((name, "channels") for name in columns.channels)]:
+        values = rows.columns.get(name, np.zeros(0))  # none of the time alone
+        if name in taken and len(np.unique(values[np.isfinite(values)])) > 1:
+            places = entry if taken[name] == entry else f"{taken[name]} and {entry}"
+            raise EntryError(
+                f"the column map takes column '{name}' twice, for {places}: name the column of "
+                "each quantity"
+            )
+        taken[name] = entry
 
 
 def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str, Column]:

@@ -205,23 +205,20 @@ class _Px4(Import):
     def _outputs(self, topic: Messages) -> Actuators:
         """Read the pulse widths, with functions from PWM_*_FUNCn or a quadrotor's old mixer."""
         log, prefix, functions = self.log, self._pins(), self._functions()
-        values = topic.array("output")
+        values, meaning = topic.array("output"), f"{prefix}_FUNC{{}} {{}}"
         count = min(int(np.max(topic.columns["noutputs"])) or MOST_PINS, values.shape[1])
         if any(functions):
             known = dict(enumerate(_motors(log, FUNCTIONS_OF_A_KIND), MOTOR_FUNCTION))
             known |= dict(enumerate(_servos(log, FUNCTIONS_OF_A_KIND), SERVO_FUNCTION))
-            meanings = [f"{prefix}_FUNC{pin} {number}" for pin, number in enumerate(functions, 1)]
             instance = self.choice.actuators_instance
             log.findings.assumed.append(
                 f"instance {instance} of actuator_outputs are the pins {prefix}"
             )
         elif log.parameters.get("MAV_TYPE") == QUADROTOR_FRAME:
-            known = {
-                function: Channel(f"motor_{function + 1 - MOTOR_FUNCTION}", effect, "")
-                for function, effect in enumerate(effects_of_arms(KNOWN["quad_x"]), MOTOR_FUNCTION)
-            }
+            effects, meaning = effects_of_arms(KNOWN["quad_x"]), "output of quad x"
+            motors = [Channel(f"motor_{i}", effect, meaning) for i, effect in enumerate(effects, 1)]
+            known = dict(enumerate(motors, MOTOR_FUNCTION))
             functions = [*range(MOTOR_FUNCTION, MOTOR_FUNCTION + MOST_PINS)]
-            meanings = ["output of quad x"] * MOST_PINS
             log.findings.assumed.append(
                 "a quadrotor in X with PX4's motor order (front right, rear left, front left, rear "
                 "right) on outputs 1 to 4: MAV_TYPE is 2, the mixer file is not in the log"
@@ -233,8 +230,9 @@ class _Px4(Import):
             )
         channels = []
         for pin, function in enumerate(functions[:count], 1):
-            channel = Channel(f"output_{pin}", NO_EFFECT, meanings[pin - 1], unit="us")
-            if (moved := known.get(function)) is not None:
+            said = meaning.format(pin, function)
+            channel = Channel(f"output_{pin}", NO_EFFECT, said, unit="us")
+            if moved := known.get(function):
                 channel = replace(channel, name=moved.name, effect=moved.effect)
                 low, high = self._width(pin, "MIN", PWM_MIN), self._width(pin, "MAX", PWM_MAX)
                 centre = (low + high) / 2.0 if function >= SERVO_FUNCTION else None
