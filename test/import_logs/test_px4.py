@@ -270,10 +270,23 @@ def test_filtered_rates_are_used_only_without_raw_rates_and_noted(importer: Impo
     assert "vehicle_angular_velocity at 200 Hz over 100 %" in printed
 
 
-def test_an_invalid_accelerometer_gives_zero_specific_force(importer: Importer) -> None:
-    invalid = {"accelerometer_timestamp_relative": np.full(COUNT, 0x7FFFFFFF, np.int32)}
-    printed = px4(importer, TORQUES | {"sensor_combined": {**COMBINED, **invalid}}).printed
-    assert "no valid accelerometer sample: ay and az are zero" in printed
+@pytest.mark.parametrize(
+    ("count", "note"),
+    [(COUNT, "no valid accelerometer sample: ay and az are zero"),
+     (2, "2 accelerometer samples are invalid: held over")],
+)  # fmt: skip
+def test_invalid_accelerometer_samples_give_the_last_valid_force(
+    importer: Importer, count: int, note: str
+) -> None:
+    relative = np.zeros(COUNT, np.int32)
+    relative[COUNT - count :] = 0x7FFFFFFF
+    force = FORCE + np.arange(COUNT)[:, None]
+    combined = sensor_combined(IMU_NS, RATES, force)
+    combined["accelerometer_timestamp_relative"] = relative
+    bag, _, printed = px4(importer, TORQUES | {"sensor_combined": combined})
+    assert note in printed
+    held = force[-3] if count < COUNT else np.zeros(3)
+    np.testing.assert_allclose(bag.specific_force[-1], held, rtol=1e-6)
 
 
 # --- the rest -----------------------------------------------------------------------------------
