@@ -169,7 +169,7 @@ class Import:
             self.findings.lost.append(
                 f"{name} {reason}; {chosen} is at {rates[chosen]:.3g} Hz{tail}"
             )
-        self._note(chosen, usable[chosen].name, chosen=True)
+        self._note(chosen, usable[chosen].name)
         if rates[chosen] < ENOUGH_RATE:
             self.findings.lost.append(
                 f"{chosen} has {rates[chosen]:.3g} Hz only: {ENOUGH_RATE:g} Hz are needed"
@@ -193,19 +193,16 @@ class Import:
         self.advised |= 1 << option["bit"]  # with those advised before
         return f" ({parameter} {value}: make it {value | self.advised}, '{option['name']}'){tail}"
 
-    def _note(self, kind: str, name: str, *, chosen: bool = False) -> None:
-        """Add the table's notes on messages to the findings; more notes if they are chosen."""
-        notes: Mapping[str, Any] = self.table["notes"].get(kind, {})
-        if "read" in notes:
-            self.findings.read.append(notes["read"].format(name=name))
-        if chosen and "assumed" in notes:
-            self.findings.assumed.append(notes["assumed"])
-        if chosen and "low_pass" in notes:
-            cutoffs = {name: self.log.parameter(name) for name in notes["low_pass"]}
+    def _note(self, what: str, name: str) -> None:
+        """Add the table's notes on chosen messages, or on those of a stream, to the findings."""
+        for kind, text in self.table["notes"].get(what, {}).items():
+            getattr(self.findings, kind).append(text.format(name=name))
+        if filtered := self.table["low_pass"].get(what):
+            cutoffs = {name: self.log.parameter(name) for name in filtered["parameters"]}
             known = next((f" at {hz:g} Hz ({name})" for name, hz in cutoffs.items() if hz), "")
             self.findings.lost.append(
-                f"{kind} is low-passed{known} by the autopilot: it comes late, which counts as a "
-                f"further delay of the inputs{notes['more']}"
+                f"{what} is low-passed{known} by the autopilot: it comes late, which counts as a "
+                f"further delay of the inputs{filtered['more']}"
             )
 
     # --- flight, rates, commands ------------------------------------------------------------------
@@ -377,7 +374,7 @@ class Import:
             if messages and messages.has(*fields):
                 values = messages.values(*fields)
                 if np.isfinite(values).any():
-                    self._note(kind, messages.name)
+                    self._note(name, messages.name)
                     return LogStream(kind, messages.sample_ns, values)
         return None
 
@@ -393,8 +390,6 @@ class Import:
                 values = quaternions(*np.radians(values).T)
             streams["attitude"] = replace(attitude, values=values)
         if setpoint := self._first("setpoint"):
-            fields = ", ".join(self.table["streams"]["setpoint"][setpoint.source])
-            self.findings.read.append(f"rate setpoint: {setpoint.source}.{fields}")
             rates = self.table["setpoint_unit"] * setpoint.values
             streams["setpoint"] = replace(setpoint, values=rates)
         if mode := self._first("mode"):
