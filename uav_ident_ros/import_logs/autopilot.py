@@ -90,8 +90,8 @@ class Import:
         """Return whether the commands are those of a multirotor, or of a VTOL's hover."""
         raise NotImplementedError
 
-    def commands(self, name: str, instance: int) -> Messages | None:
-        """Return the commands of a kind and instance, if there are any."""
+    def messages(self, name: str, instance: int) -> Messages | None:
+        """Return the rates or commands of a kind and instance, if there are any."""
         return self.log.messages(name, instance)
 
     def explained(self, usable: Usable) -> Usable:
@@ -112,14 +112,11 @@ class Import:
                     "attitude"
                 )
 
-    def _find(
-        self,
-        what: str,  # ``rates`` or ``actuators``
-        # Supported kinds, the preferred first, and the fields that each needs
-        fields: Mapping[str, Collection[str]],
-        find: Callable[[str, int], Messages | None],
-    ) -> Usable:
-        """Return the messages that the user chose, or all suitable kinds."""
+    def _find(self, what: str, fields: Mapping[str, Collection[str]]) -> Usable:
+        """Return the rates or actuators that the user chose, or those of all suitable kinds.
+
+        `fields` has the supported kinds, the preferred first, and the fields that each needs.
+        """
         wanted: str | None = getattr(self.choice, f"{what}_topic")
         instance: int = getattr(self.choice, f"{what}_instance")
         if wanted is not None and wanted not in fields:
@@ -127,7 +124,8 @@ class Import:
                 f": '{wanted}' are no messages of {what}: there are {', '.join(fields)}"
             )
         looked_for = [wanted] if wanted else list(fields)
-        found = {n: m for n in looked_for if (m := find(n, instance)) and m.has(*fields[n])}
+        there = {name: self.messages(name, instance) for name in looked_for}
+        found = {name: m for name, m in there.items() if m and m.has(*fields[name])}
         if not found:
             which = f", instance {instance}" if instance else ""
             there_are = ", ".join(sorted(self.log.kinds)) or "no messages at all"
@@ -248,7 +246,7 @@ class Import:
     def _rates(self) -> LogStream:
         """Read the rates that the user chose, or the first that are fast enough, or the fastest."""
         fields = self.table["rates"]
-        usable = self._find("rates", fields, self.log.messages)
+        usable = self._find("rates", fields)
         name = self._choose(usable)
         messages = usable[name]
         measured = np.hstack([messages.values(*fields[name]), self._force(name, messages)])
@@ -266,7 +264,7 @@ class Import:
         demands = {name: self.table["controls"].get(name, {}).items() for name in readers}
         acting = {name: [f for f, entry in fields if any(effect_of(entry))]
                   for name, fields in demands.items()}  # fmt: skip
-        usable = self._find("actuators", acting, self.commands)
+        usable = self._find("actuators", acting)
         name = self._choose(self.explained(usable))
         commands, channels = readers[name](usable[name])
         self.findings.read.append(f"actuators: {commands.source}{self.table['stamped']}")

@@ -71,15 +71,13 @@ class _Blackbox(Import):
     def _motors(self, messages: Messages) -> Actuators:
         """Return the commands and channels of a quadrotor in X, in Betaflight's motor order."""
         log, headers = self.log, self.headers
-        values, arms = messages.array("motor"), KNOWN["quad_x"]
+        values = messages.array("motor")
+        turned = ", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else ""
+        arms = KNOWN["quad_x_reversed" if turned else "quad_x"]
         if values.shape[1] != len(arms):
             raise log.refusal(
                 f" has {values.shape[1]} motors: only quadrotors are known, whose mixer is quad x"
             )
-        turned = ", reversed (yaw_motors_reversed)" if headers.get("yaw_motors_reversed") else ""
-        if turned:
-            other = {"cw": "ccw", "ccw": "cw"}
-            arms = [f"{angle} {other[sense]}" for angle, sense in (arm.split() for arm in arms)]
         throttle = [headers.get("minthrottle", 0) or 1000, headers.get("maxthrottle", 0) or 2000]
         low, high = headers.get("motorOutput", throttle)
         log.findings.assumed.append(
@@ -90,8 +88,8 @@ class _Blackbox(Import):
             Channel(f"motor_{i}", effect, "motor of quad x", unit="counts")
             for i, effect in enumerate(effects_of_arms(arms), 1)
         ]
-        commands = LogStream(messages.name, messages.stamp_ns, values)
-        return commands, [motor.over_range(float(low), float(high)) for motor in motors]
+        channels = [motor.over_range(float(low), float(high)) for motor in motors]
+        return LogStream(messages.name, messages.stamp_ns, values), channels
 
 
 def _scales(log: Log, headers: dict[str, Any], frames: dict[str, Column]) -> dict[str, float]:

@@ -132,7 +132,7 @@ class _Px4(Import):
             OUTPUTS: self._outputs,
         }
 
-    def commands(self, name: str, instance: int) -> Messages | None:
+    def messages(self, name: str, instance: int) -> Messages | None:
         if not name.startswith(CONTROLS):
             return self.log.messages(name, instance)
         # The sets of a VTOL before v1.13 are separate topics.

@@ -98,13 +98,11 @@ def inside(t_ns: TimeArray, stretches: Stretches) -> BoolArray:
 
 def coverage(t_ns: TimeArray, stretches: Stretches, hold_ns: int = LONGEST_HOLD_NS) -> float:
     """Return the share of some stretches that a stream covers; a sample lasts `hold_ns`."""
-    covered = sum(
-        int(
-            np.clip(np.diff(np.append(t_ns[inside(t_ns, [stretch])], stretch[1])), 0, hold_ns).sum()
-        )
-        for stretch in stretches
-    )
-    whole = sum(end - start for start, end in stretches)
+    covered = whole = 0
+    for start, end in stretches:
+        stamps = t_ns[inside(t_ns, [(start, end)])]
+        covered += int(np.clip(np.diff(stamps, append=end), 0, hold_ns).sum())
+        whole += end - start
     return min(covered / whole, 1.0) if whole else 0.0
 
 
