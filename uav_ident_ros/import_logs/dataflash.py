@@ -115,14 +115,12 @@ class _Dataflash(BinaryLog):
     def __init__(self, data: bytes) -> None:
         super().__init__(data)
         self.kinds: dict[int, Kind] = {}
-        self._lengths: set[int] = set()
         self._declare(FMT, _kind(b"FMT", b"BBnNZ", b"Type,Length,Name,Format,Columns"))
 
     def _declare(self, number: int, kind: Kind) -> None:
         """Add a type; the first declaration counts, a later one may be damaged."""
         if number not in self.kinds:
             self.kinds[number] = kind
-            self._lengths.add(kind.dtype.itemsize)
             known = re.escape(bytes(self.kinds))
             self.begins = re.compile(re.escape(SYNC) + b"[" + known + b"]", re.DOTALL)
 
@@ -135,7 +133,8 @@ class _Dataflash(BinaryLog):
         # Then message plus gap have the length of a type, and at most one header byte is right.
         first, second, number = self.data[at : at + 3].ljust(3, b"\0")
         alike = (first == SYNC[0]) + (second == SYNC[1]) + (number in self.kinds)
-        return following - last in self._lengths and alike < 2
+        lengths = {kind.dtype.itemsize for kind in self.kinds.values()}
+        return following - last in lengths and alike < 2
 
     def register(self, at: int, length: int) -> None:
         if self.data[at + 2] != FMT:
