@@ -327,13 +327,9 @@ TELEMETRY = bytes.fromhex("000572ed02b6d368fe1afb01011b") + bytes(300)
 
 NOISE = bytes(range(256)) * 40
 MOTORS = {("actuator_motors", 0): commands(IMU_NS[::4], VALUES[::4], "control")}
+WITHOUT_THRUST = {("actuator_controls_0", 0): commands(IMU_NS[::4], VALUES[::4], "control")}
 NEVER_ON = {("actuator_motors", 0): commands(IMU_NS[::4], np.full((500, 12), np.nan), "control")}
-ROVER = {
-    ("vehicle_status", 0): {
-        "timestamp": stamps(IMU_NS[:3]), "vehicle_type": np.full(3, 3, np.uint8),
-        "arming_state": np.full(3, 2, np.uint8),
-    }
-}  # fmt: skip
+VEHICLE = {"timestamp": stamps(IMU_NS[:3]), "vehicle_type": np.full(3, 3, np.uint8)}
 TORQUE, ONE_ROTOR = "vehicle_torque_setpoint", {"CA_ROTOR_COUNT": 4, "CA_AIRFRAME": 0}
 TWO_PARTS = ("b:c[65535] y;", "a:uint64_t timestamp;b[65535] x;")
 
@@ -362,6 +358,7 @@ REFUSED: list[tuple[str, Make]] = [
     # logs
     ("has no rates .*it has vehicle_torque_setpoint", px4("sensor_combined")),
     ("has no actuators .*it has sensor_combined", px4(TORQUE)),
+    ("has no actuators .*it has actuator_controls_0, s", px4(TORQUE, more=WITHOUT_THRUST)),
     ("has no rates .*it has .*PARM", lambda folder: [str(plane_log(folder, "IMU"))]),
     (r"no rates .*it has .*MSG, PARM \(LOG_BITMASK 1029: make it 525317, 'raw IMU'\)$",
      lambda folder: [str(write_dataflash(folder / "slow.bin", PLANE, {"LOG_BITMASK": 1029}))]),
@@ -377,7 +374,7 @@ REFUSED: list[tuple[str, Make]] = [
     ("is of a rover .MAV_TYPE 10.: the model is that of an air", px4(parameters={"MAV_TYPE": 10})),
     ("is of a boat .MAV_TYPE 11.", px4(parameters={"MAV_TYPE": 11})),
     ("is of a rover .CA_AIRFRAME 5.", px4(parameters={"CA_AIRFRAME": 5})),
-    ("is of a rover .vehicle_status.vehicle_type 3.", px4(more=ROVER)),
+    ("is of a rover .vehicle_status.vehicle_type 3.", px4(more={("vehicle_status", 0): VEHICLE})),
     ("it has no messages at all", bomb(*TWO_PARTS, "c:uint64_t[65535] z;")),
     ("it has no messages at all", bomb(*TWO_PARTS, "c:")),
     ("it has no messages at all", bomb("a:uint64_t timestamp;a again;")),
