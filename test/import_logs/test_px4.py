@@ -203,6 +203,22 @@ def test_an_option_selects_the_hover_or_forward_flight_commands_of_a_vtol(
     assert "no actuators" in importer.refused(importer.log, "--actuators-instance", "2")
 
 
+@pytest.mark.parametrize(
+    ("force", "note", "names"),
+    [((0.1, 0.0, -0.5), "dth is the upward thrust: it is larger", ["thrust_z"]),
+     ((0.5, np.nan, np.nan), "dth is the forward thrust: it is larger", ["thrust_x"]),
+     ((np.nan,) * 3, "there is no vehicle_thrust_setpoint", [])],
+)  # fmt: skip
+def test_the_larger_thrust_of_a_vtol_is_its_throttle(
+    importer: Importer, force: tuple[float, ...], note: str, names: list[str]
+) -> None:
+    thrust = commands(COMMAND_NS, np.tile(force, (len(COMMAND_NS), 1)), "xyz")
+    topics = TORQUES | {"vehicle_thrust_setpoint": thrust}
+    _, values, printed = px4(importer, topics, {"CA_AIRFRAME": 2})
+    assert note in printed
+    assert values["actuators.channels"][3:] == names
+
+
 def test_a_topic_that_covers_only_a_part_of_the_flight_is_not_used(importer: Importer) -> None:
     """Both are slow: the faster one was logged in the first fifth only."""
     motors = {name: values[:20:4] for name, values in MOTORS["actuator_motors"].items()}

@@ -184,7 +184,7 @@ class _Px4(Import):
         """Read the torque and thrust setpoints, before the control allocation."""
         commands, channels = self.demands(torque)
         thrust = self.log.messages(SETPOINTS[1], self.choice.actuators_instance)
-        if thrust is None:
+        if thrust is None or np.isnan(thrust.array("xyz")).all():
             self.findings.lost.append(f"there is no {SETPOINTS[1]}: dth is zero throughout")
             return commands, channels
         forces, axes = self.demands(thrust)
@@ -267,11 +267,11 @@ def _lifts(log: Log, forces: FloatArray) -> bool:
     airframe = log.parameters.get("CA_AIRFRAME")
     if airframe in (MULTIROTOR, FIXED_WING):
         return airframe == MULTIROTOR
-    up, ahead = (float(np.nanmean(np.abs(forces[:, axis]))) for axis in (2, 0))
+    ahead, _, up = np.nansum(np.abs(forces), axis=0)
     log.findings.assumed.append(
         f"dth is the {'upward' if up >= ahead else 'forward'} thrust: it is larger"
     )
-    return up >= ahead
+    return bool(up >= ahead)
 
 
 def _motors(log: Log, count: int) -> list[Channel]:
