@@ -230,8 +230,7 @@ class _Px4(Import):
             )
         channels = []
         for pin, function in enumerate(functions[:count], 1):
-            said = meaning.format(pin, function)
-            channel = Channel(f"output_{pin}", NO_EFFECT, said, unit="us")
+            channel = Channel(f"output_{pin}", NO_EFFECT, meaning.format(pin, function), unit="us")
             if moved := known.get(function):
                 channel = replace(channel, name=moved.name, effect=moved.effect)
                 low, high = self._width(pin, "MIN", PWM_MIN), self._width(pin, "MAX", PWM_MAX)
