@@ -48,9 +48,6 @@ FOREIGN = {
 }
 """Files that cannot be read, by a pattern of their first bytes: what they are, and what to do."""
 
-CHANGES = "mode"
-"""The stream with a sample for each change, and so without a rate."""
-
 FIRST_BYTES = 400
 """Bytes read to recognise a log; they contain the header line of a table."""
 
@@ -199,7 +196,7 @@ def _note_streams(flight: FlightLog) -> None:
     """Add rates, gaps and other irregularities of the streams to the findings."""
     findings = flight.log.findings
     for name, stream in flight.streams.items():
-        if name != CHANGES:
+        if name != "mode":  # a sample for each change: it has no rate
             findings.read.append(f"{name}: {describe(stream.t_ns)}")
             findings.lost += [f"{name}: {text}" for text in irregularities(stream.t_ns)]
     values = flight.streams["actuators"].values[:, [column for column, _ in flight.used]]

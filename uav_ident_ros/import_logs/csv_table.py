@@ -139,9 +139,6 @@ def _three(value: Any, name: str, what: str) -> list[Any]:
 
 TOO_LATE = "; shift the column, or say its unit in the column map"
 
-COMMENT = "#"
-"""Start of lines that are skipped."""
-
 NO_VALUE = ("", "nan", "NaN", "NA", "null")
 """Cells without a value: the stream has no sample in this row."""
 
@@ -237,7 +234,7 @@ def _read_columns(file: Iterator[str], columns: ColumnMap, log: Log) -> dict[str
     rows = (
         (reader.line_num, [cell.strip() for cell in cells])
         for cells in reader
-        if any(cells) and not cells[0].lstrip().startswith(COMMENT)
+        if any(cells) and not cells[0].lstrip().startswith("#")  # a comment
     )
     _, header = next(rows, (0, []))
     if not header:

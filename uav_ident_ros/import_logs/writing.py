@@ -40,7 +40,6 @@ STRING, BOOL = "std_msgs/msg/String", "std_msgs/msg/Bool"
 FIRST_NS = 1
 """First stamp of a bag, ns: in ROS zero means no stamp, and the message would be lost."""
 
-
 LOG_TOPICS = {
     "actuators": ("/actuators", JOINT_STATE),
     "rates": ("/imu/data", IMU),
