@@ -51,6 +51,13 @@ def flown(a: FloatArray, state: FloatArray, u: FloatArray, v: float, seconds: fl
     ).y[:, -1]
 
 
+def with_down(state: FloatArray) -> FloatArray:
+    """Return the model's own state, with the direction of down instead of roll and pitch."""
+    *first, roll, pitch = state
+    level = np.cos(pitch)
+    return np.array([*first, -np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level])
+
+
 def slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
     """Return the derivative by central differences, one column per argument."""
     steps = 1e-6 * np.eye(len(at))
