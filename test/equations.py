@@ -52,10 +52,11 @@ def flown(a: FloatArray, state: FloatArray, u: FloatArray, v: float, seconds: fl
 
 
 def with_down(state: FloatArray) -> FloatArray:
-    """Return the model's own state, with the direction of down instead of roll and pitch."""
-    *first, roll, pitch = state
+    """Return the model's own state, (..., 8), with the direction of down for roll and pitch."""
+    *first, roll, pitch = np.moveaxis(state, -1, 0)
     level = np.cos(pitch)
-    return np.array([*first, -np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level])
+    down = (-np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level)
+    return np.stack([*first, *down], axis=-1)
 
 
 def slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:

@@ -331,11 +331,10 @@ def test_the_rows_pause_separately_for_lack_of_excitation() -> None:
         Segment("multisine", duration=12.0, amplitudes=flying.AMPLITUDES, seed=1),
         Segment("multisine", start=12.0, amplitudes=rests, seed=2),
     )
-    supervisor = flying.identified(flying.measured(24.0, segments=segments), structure=STRUCTURE)[
-        0
-    ].supervisor
-    assert supervisor.pauses() == {"qdot": "too little excitation"}
-    assert supervisor.learning.tolist() == [True, False, True]
+    m = flying.measured(24.0, segments=segments)
+    identifier, _ = flying.identified(m, structure=STRUCTURE)
+    assert identifier.supervisor.pauses() == {"qdot": "too little excitation"}
+    assert identifier.supervisor.learning.tolist() == [True, False, True]
 
 
 def test_a_single_sample_out_of_range_is_dropped_without_a_pause() -> None:
@@ -420,19 +419,17 @@ TOO_QUIET = "too quiet: no rate moves beyond the gyro's noise"
 @pytest.mark.parametrize(
     ("swing", "noise", "airspeed", "expected"),
     [
-        (0.02, 0.003, None, ""),
+        (0.02, 0.003, None, ""),  # a large aircraft
         (0.0, 0.003, None, AT_REST),
-        (0.004, 0.0005, None, AT_REST),
-        (0.02, 0.015, None, AT_REST),
-        (0.008, 0.0001, None, AT_REST),
-        (0.02, 0.0001, None, ""),
+        (0.004, 0.0005, None, AT_REST),  # rocked by the wind
+        (0.02, 0.015, None, AT_REST),  # lost in the noise
+        (0.008, 0.0001, None, AT_REST),  # rocked more
+        (0.02, 0.0001, None, ""),  # the smoothest flight
         (0.0, 0.0, None, AT_REST),
-        (0.0, 0.0, 6.0, AT_REST),
+        (0.0, 0.0, 6.0, AT_REST),  # taxiing
         (0.0, 0.0, 7.0, TOO_QUIET),  # above a third of the reference, 20 m/s: flight
     ],
-    ids=["a large aircraft", "on the ground", "rocked by the wind", "lost in the noise",
-         "rocked more", "smoothest flight", "no noise", "taxiing", "flying"],
-)  # fmt: skip
+)
 def test_rest_is_detected_by_the_gyros_noise_and_by_the_airspeed(
     swing: float, noise: float, airspeed: float | None, expected: str
 ) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flying import AMPLITUDES
+from flying import AMPLITUDES, integrated, run, sent
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -17,8 +17,6 @@ from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 from uav_ident_ros.simulation.plant import SMALL_UAV
 
 RATE = 100.0
-STEPS = 4
-"""Integration steps between two samples."""
 REFERENCE = 20.0
 START_NS = 1_700_000_000 * 10**9
 PLANT = SMALL_UAV
@@ -42,14 +40,7 @@ def flown() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times, rates and inputs of a plant whose coefficients follow the airspeed."""
     t = np.arange(round(40.0 * RATE)) / RATE
     u = sample_inputs([Segment("multisine", amplitudes=AMPLITUDES, seed=1)], t)
-    x = np.zeros((len(t), 3))
-    for k in range(len(t) - 1):
-        x[k + 1], h = x[k], 1.0 / RATE / STEPS
-        a = scaled(float(airspeed(t[k])))
-        for _ in range(STEPS):  # midpoint rule
-            middle = x[k + 1] + 0.5 * h * (a @ STRUCTURE.regressor(x[k + 1], u[k]))
-            x[k + 1] += h * (a @ STRUCTURE.regressor(middle, u[k]))
-    return t, x, u
+    return t, integrated(STRUCTURE, t, u, lambda now: scaled(float(airspeed(np.array(now))))), u
 
 
 def worst_linear(found: FloatArray, truth: FloatArray) -> float:
@@ -68,19 +59,19 @@ def identify(
 
     No airspeed arrives in an interval, s; it has a noise, m/s rms.
     """
-    plain = {"structure": STRUCTURE.name, **FRD}
-    rng = np.random.default_rng(1)
-    identifier = OnlineIdentifier(Settings.from_values({**plain, **values}))
-    estimates: list[Estimate] = []
-    for t, x, u in zip(*flown(), strict=True):
-        t_ns = START_NS + round(t * 1e9)
-        identifier.add_actuators(t_ns, u.tolist())
-        if not silent[0] < t < silent[1]:
-            measured = airspeed(t) + noise * rng.standard_normal()
-            identifier.add_airspeed(t_ns, float(measured))
-        identifier.add_rates(t_ns, x.tolist())
-        estimates += identifier.advance()
-    return identifier, estimates
+    identifier = OnlineIdentifier(
+        Settings.from_values({"structure": STRUCTURE.name, **FRD, **values})
+    )
+    t, x, u = flown()
+    t_ns = [START_NS + round(now * 1e9) for now in t]
+    speed = airspeed(t) + noise * np.random.default_rng(1).standard_normal(len(t))
+    told = [
+        sample
+        for now, sample in zip(t, sent("airspeed", t_ns, speed[:, None]), strict=True)
+        if not silent[0] < now < silent[1]
+    ]
+    stream = [*sent("actuators", t_ns, u), *told, *sent("rates", t_ns, x)]
+    return identifier, run(identifier, sorted(stream, key=lambda sample: sample.t_ns))
 
 
 def test_one_set_of_coefficients_holds_at_all_airspeeds() -> None:
