@@ -176,13 +176,13 @@ def test_the_delay_survives_a_gap_and_a_new_time_base_but_not_a_reset() -> None:
     m = measure(flying.plant_flight(36.0, delay=0.06), NOISY)
     start = int(m.imu_t_ns[0])
     identifier = OnlineIdentifier(flying.settings(m, **UNKNOWN))
-
-    def broken(message: flying.SentSample) -> flying.SentSample:
-        after = message.t_ns - start
-        return message._replace(t_ns=message.t_ns + (after > 32e9) * 3600 * 10**9)
-
-    kept = [m for m in flying.messages(m) if not 19e9 < m.t_ns - start < 19.6e9]
-    flying.run(identifier, [broken(message) for message in kept])
+    hour = 3600 * 10**9
+    broken = [
+        message._replace(t_ns=message.t_ns + hour * (message.t_ns - start > 32e9))
+        for message in flying.messages(m)
+        if not 19e9 < message.t_ns - start < 19.6e9
+    ]
+    flying.run(identifier, broken)
     assert identifier.delay == pytest.approx(0.06, abs=0.015)
     identifier.reset()
     unknown = identifier.delay_estimate

@@ -82,34 +82,29 @@ def test_a_correlation_by_chance_is_a_possible_answer_without_a_share() -> None:
     assert not detected.answering[:, 2].any()
 
 
-def in_turns(seed: int, column: int) -> tuple[Regression, np.ndarray]:
-    """Return 20 s of steps of one input, in gusts as slow as the steps, without feedback."""
-    rng = np.random.default_rng(seed)
-    n, keep = round(20.0 / DT), np.exp(-DT / 1.5)
-    f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
-    f[:, column] = 0.1 * np.resize(np.repeat([1.0, -1.0, 1.0, -1.0], [60, 40, 20, 20]), n)
-    f[140:200, column] = f[350:, column] = 0.0
-    for k in range(1, n):
-        gusts[k, :3] = keep * gusts[k - 1, :3] + np.sqrt(1 - keep**2) * rng.normal(size=3)
-    return Regression.of(np.zeros((n, LAYOUT.rows)), f, f, DT), gusts
-
-
-def test_steps_in_slow_gusts_are_no_answers_of_an_effective_input_or_the_throttle() -> None:
+@pytest.mark.parametrize(
+    ("column", "effect", "may_answer"),
+    [(AILERON, 10.0, True), (AILERON, 40.0, False), (INPUT_COLUMNS.stop - 1, 0.0, False)],
+    ids=["a weak aileron", "an effective one", "the throttle"],
+)
+def test_steps_of_an_effective_input_or_the_throttle_in_slow_gusts_are_no_answers(
+    column: int, effect: float, may_answer: bool
+) -> None:
     """Past residuals explain much of a few steps by chance; a weak input may be an answer.
 
     No rate loop moves the throttle, and no row gives its effect.
     """
-    throttle = INPUT_COLUMNS.stop - 1
-    for column, effect, may_answer in (
-        (AILERON, 10, True),
-        (AILERON, 40, False),
-        (throttle, 0, False),
-    ):
-        flights = [in_turns(seed, column) for seed in range(1, 9)]
-        found = [
-            detect_feedback(*one, effect).share[column - INPUT_COLUMNS.start] for one in flights
-        ]
-        assert any(found) == may_answer
+    n, keep, found = round(20.0 / DT), np.exp(-DT / 1.5), []
+    for seed in range(1, 9):
+        rng = np.random.default_rng(seed)
+        f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
+        f[:, column] = 0.1 * np.resize(np.repeat([1.0, -1.0, 1.0, -1.0], [60, 40, 20, 20]), n)
+        f[140:200, column] = f[350:, column] = 0.0
+        for k in range(1, n):
+            gusts[k, :3] = keep * gusts[k - 1, :3] + np.sqrt(1 - keep**2) * rng.normal(size=3)
+        samples = Regression.of(np.zeros((n, LAYOUT.rows)), f, f, DT)
+        found.append(detect_feedback(samples, gusts, effect).share[column - INPUT_COLUMNS.start])
+    assert any(found) == may_answer
 
 
 @pytest.mark.parametrize("seed", [1, 2])

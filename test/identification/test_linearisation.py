@@ -74,18 +74,15 @@ def test_two_oscillations_are_called_lateral() -> None:
     assert len(names) == 2
 
 
-def sampled(mode: Mode) -> tuple[float, ...]:
-    value = mode.eigenvalue
-    return (value.real, value.imag, mode.frequency, mode.damping, mode.time_constant)
-
-
 def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:
     share, rng, values = 0.02, np.random.default_rng(1), aircraft()
     own = found(values, share)
     draws: dict[str, list[Any]] = {name: [] for name in own}
     for _ in range(600):
         for name, mode in found(values * (1.0 + share * rng.normal(size=values.shape))).items():
-            draws[name].append(sampled(mode))
+            value = mode.eigenvalue
+            mean = (value.real, value.imag, mode.frequency, mode.damping, mode.time_constant)
+            draws[name].append(mean)
     for name, mode in own.items():
         assert len(draws[name]) == 600
         spread = np.std(draws[name], axis=0)

@@ -8,24 +8,16 @@ from uav_ident_ros.identification.rigid_body import Inertia, coefficients_from_p
 from uav_ident_ros.identification.structure import STRUCTURES
 
 
-def random_body(rng: np.random.Generator) -> Inertia:
-    """A body of a few masses, whose inertias are therefore possible ones."""
-    masses = rng.uniform(0.1, 2.0, 12)
-    x, y, z = rng.normal(size=(3, 12)) * np.array([[0.5], [0.8], [0.2]])
-    return Inertia(
-        ix=float(masses @ (y**2 + z**2)),
-        iy=float(masses @ (x**2 + z**2)),
-        iz=float(masses @ (x**2 + y**2)),
-        ixz=float(masses @ (x * z)),
-    )
-
-
 @pytest.mark.parametrize("name", ["baseline", "throttle_coupled", "augmented"])
 def test_a_reproduces_the_rigid_body_equations(name: str) -> None:
     structure = STRUCTURES[name]
     rng = np.random.default_rng(1)
     for _ in range(200):
-        body = random_body(rng)
+        # a body of a few masses, whose inertias are therefore possible ones
+        masses, arms = rng.uniform(0.1, 2.0, 12), rng.normal(size=(3, 12))
+        x, y, z = arms * np.array([[0.5], [0.8], [0.2]])
+        moments_of = [y**2 + z**2, x**2 + z**2, x**2 + y**2, x * z]
+        body = Inertia(*(float(masses @ squares) for squares in moments_of))
         moments = rng.normal(size=(3, structure.size - 5)) * structure.mask[:, 5:]
         a = coefficients_from_physics(body, moments)
         x, u, force = rng.normal(size=3) * 3.0, rng.normal(size=4), rng.normal(size=2) * 5.0
