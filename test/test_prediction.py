@@ -257,7 +257,9 @@ def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
     for i, horizon in enumerate(prediction.HORIZONS[: np.count_nonzero(covered)]):
         runs = [predicted(record, k, free=True, horizon=horizon) for k in range(covered[i])]
         measured = [m for _, m in runs]
-        expected, held = percent([p for p, _ in runs], measured), holding(record, measured)
+        expected, t = percent([p for p, _ in runs], measured), record.t_ns - START_NS
+        at_start = (line(t, record.rates, tick) for tick in record.ticks_ns - START_NS)
+        held = [np.tile(x, (len(m), 1)) for x, m in zip(at_start, measured, strict=False)]
         np.testing.assert_allclose(result.free[i], expected, atol=2e-4 if i == 0 else 2e-3)
         np.testing.assert_allclose(result.free_hold[i], percent(held, measured), atol=1e-8)
         if i == 0:
@@ -266,14 +268,6 @@ def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
             expected = percent(forced, measured)
             np.testing.assert_allclose(result.measured_force, expected, atol=2e-4)
             assert not np.allclose(result.measured_force, result.model, atol=1.0)
-
-
-def holding(record: Record, measured: list[Array]) -> list[Array]:
-    """Return the rate at the start of each of the first windows, for each of its samples."""
-    t = (record.t_ns - START_NS) * 1e-9
-    at = (record.ticks_ns[: len(measured)] - START_NS) * 1e-9
-    x0 = np.stack([np.interp(at, t, column) for column in record.rates.T], axis=1)
-    return [np.tile(x, (len(m), 1)) for x, m in zip(x0, measured, strict=True)]
 
 
 def test_windows_of_the_score_of_record_have_the_counts_of_the_contract() -> None:
