@@ -216,9 +216,7 @@ def percent(model: list[Array], measured: list[Array]) -> Array:
 
 @pytest.mark.parametrize("structure", [AUGMENTED, FLIGHT])
 @pytest.mark.parametrize("horizon", [1.0, 0.05])
-def test_predictions_ahead_equal_the_end_of_an_integration(
-    structure: Structure, horizon: float
-) -> None:
+def test_predictions_equal_the_end_of_an_integration(structure: Structure, horizon: float) -> None:
     record = fly(structure, duration=3.0)
     factors = np.random.default_rng(3).uniform(0.5, 1.5, (len(record.ticks_ns), 1, 1))
     record = replace(record, coefficients=record.coefficients * factors)

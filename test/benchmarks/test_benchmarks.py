@@ -88,9 +88,7 @@ def test_every_flight_definition_has_a_plan_and_a_consistent_rate(name: str) -> 
     assert plan.rate % flights.sensors_of(own).rate == 0.0
 
 
-def test_a_loaded_flight_is_cached_unchanged_for_each_seed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flights_are_cached_by_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flights, "CACHE", tmp_path)
     monkeypatch.setattr(flights, "WORTH_KEEPING", 0.0)
     first = flights.load("exact_convergence")

@@ -130,10 +130,7 @@ def messages(measurements: Measurements) -> list[SentSample]:
 
 
 def integrated(
-    structure: Structure,
-    t: FloatArray,
-    u: FloatArray,
-    coefficients: Callable[[float], FloatArray],
+    structure: Structure, t: FloatArray, u: FloatArray, coefficients: Callable[[float], FloatArray]
 ) -> FloatArray:
     """Rates from rest, with inputs held and coefficients constant from each time on."""
     x, h = np.zeros((len(t), 3)), (t[1] - t[0]) / 4

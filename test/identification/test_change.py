@@ -128,8 +128,7 @@ def test_a_lost_surface_is_detected_unless_noise_or_sigma_is_large(
 
 
 @pytest.mark.parametrize(
-    ("answers", "error", "detected"),
-    [(0.0, 0.0, True), (0.003, 0.0, False), (0.0, 0.15, False)],
+    ("answers", "error", "detected"), [(0.0, 0.0, True), (0.003, 0.0, False), (0.0, 0.15, False)]
 )
 def test_noise_hides_a_lost_surface_only_if_it_may_answer_or_its_model_be_wrong(
     answers: float, error: float, detected: bool

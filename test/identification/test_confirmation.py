@@ -159,9 +159,7 @@ def test_an_effect_nearer_to_half_or_to_twice_is_contradicted(effect: float, rem
 
 
 @pytest.mark.parametrize(("scale", "contradicted"), [(1.0, False), (2.0, True)])
-def test_twice_the_row_is_contradicted_where_damping_balances_the_surface(
-    scale: float, contradicted: bool
-) -> None:
+def test_twice_the_row_is_contradicted_beside_damping(scale: float, contradicted: bool) -> None:
     """The moment is that of the last changes of the aileron alone."""
     rng, flight, flown = np.random.default_rng(1), Flight(), []
     aileron, gust, u, damped = np.eye(4)[INPUTS.index("da")], np.zeros(3), np.zeros(4), np.zeros(4)
@@ -314,9 +312,7 @@ def test_only_the_row_that_is_learned_anew_loses_its_confirmation() -> None:
 
 
 @pytest.mark.parametrize("effect", [1.0, 0.33])
-def test_a_steady_deflection_confirms_nothing_once_the_constant_is_learned_anew(
-    effect: float,
-) -> None:
+def test_a_steady_deflection_confirms_nothing_beside_an_unknown_constant(effect: float) -> None:
     """The constant cancels what a weak surface leaves: the residual is noise, whatever is left."""
     flight, rng, count = in_turns(), np.random.default_rng(1), round(20.0 / DT)
     flight.confirmed.forget(PITCH)

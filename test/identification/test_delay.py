@@ -48,9 +48,7 @@ def test_in_calm_air_the_delay_and_its_sum_with_the_lag_are_sure(delay: float, l
     ],
     ids=["slow Imu", "fast Imu", "wrong at first, in gusts under an autopilot"],
 )
-def test_the_delay_is_estimated_within_15_ms(
-    sensors: Sensors, flown: dict[str, Any], first: float
-) -> None:
+def test_delays_are_found_to_15_ms(sensors: Sensors, flown: dict[str, Any], first: float) -> None:
     flight = flying.plant_flight(30.0, delay=0.06, **flown)
     assert found(flight, sensors, actuators__delay=first).delay == pytest.approx(0.06, abs=0.015)
 
@@ -307,9 +305,7 @@ def test_feedback_increases_the_delays_sigma_by_the_unexplained_share() -> None:
 @pytest.mark.parametrize(
     ("best", "opposed", "known"), [(-0.03, False, True), (-0.03, True, False), (0.05, True, True)]
 )
-def test_a_negative_delay_with_feedback_is_not_sure(
-    best: float, opposed: bool, known: bool
-) -> None:
+def test_a_negative_delay_with_feedback_is_unsure(best: float, opposed: bool, known: bool) -> None:
     early = delay.STEP * np.arange(-6, 13)
     estimate = delay.judge(curve(best, 0.0, delays=early), early, opposed=opposed)
     assert estimate.sure == known

@@ -190,9 +190,7 @@ def weak(samples: Regression, noise: float) -> Regression:
 
 
 @pytest.mark.parametrize("initial", [0.0, 20.0])
-def test_with_poor_instruments_of_answers_sigma_is_the_priors_and_the_shift(
-    initial: float,
-) -> None:
+def test_with_poor_instruments_of_answers_sigma_is_the_priors_and_the_shift(initial: float) -> None:
     """The estimate may then contain all of the gusts."""
     samples, gusts = fly(0.02, 0.0)
     start, by = start_with(pdot_da=initial) if initial else start_with(), (True,)
@@ -202,9 +200,7 @@ def test_with_poor_instruments_of_answers_sigma_is_the_priors_and_the_shift(
 
 
 @pytest.mark.parametrize(("noise", "increases"), [(0.0, False), (0.1, True)])
-def test_possible_answers_increase_sigma_only_with_a_poor_instrument(
-    noise: float, increases: bool
-) -> None:
+def test_possible_answers_count_only_with_a_poor_instrument(noise: float, increases: bool) -> None:
     """The poor instrument contains a hundredth of the aileron's power; the share is 10 %."""
     samples, gusts = fly(0.0, 0.005)
     poor, by = weak(samples, noise), (True,)

@@ -92,9 +92,7 @@ def test_the_attitude_is_corrected_for_a_gyro_bias() -> None:
 
 
 @pytest.mark.parametrize(("bank", "limit"), [(0.0, GRAVITY_BAND), (0.3, 0.12)])
-def test_a_bias_found_realigns_the_attitude_and_begins_a_new_stretch(
-    bank: float, limit: float
-) -> None:
+def test_a_bias_found_realigns_the_attitude_in_a_new_stretch(bank: float, limit: float) -> None:
     """Until then it drifts by half a radian; level, the roll may look like a yaw."""
     _, x, force = turn(bank, 60.0, 0.04)
     own, errors, begun = observer(), [], []

@@ -160,9 +160,7 @@ def rounded(
 
 
 @pytest.mark.parametrize(("rate", "step"), [(10.0, 0.002), (25.0, 0.002), (1000.0, 0.0175)])
-def test_a_coarse_gyro_is_stuck_only_after_longer_repetitions_than_usual(
-    rate: float, step: float
-) -> None:
+def test_a_coarse_gyro_is_stuck_after_unusual_repetitions(rate: float, step: float) -> None:
     assert set(rounded(rate, step)) == {""}
     reasons = rounded(rate, step, still=(41.0, 55.0))
     assert "the Imu is stuck: q has not changed for 0.25 s or more" in reasons[-19 * 20 : -5 * 20]

@@ -65,9 +65,7 @@ def found(
 
 @pytest.mark.parametrize("gusts", [0.0, 0.5])
 @pytest.mark.parametrize(("delay", "lag"), [(0.0, 0.0), (0.1, 0.0), (0.06, 0.06), (0.02, 0.08)])
-def test_delay_and_lag_are_estimated_in_closed_loop_and_in_gusts(
-    delay: float, lag: float, gusts: float
-) -> None:
+def test_delay_and_lag_are_found_in_closed_loop(delay: float, lag: float, gusts: float) -> None:
     by = found(*closed_loop(delay, lag, gusts))
     assert by is not None
     own, sigma = by.lag

@@ -211,9 +211,7 @@ def test_healthy_inputs_of_a_quick_aircraft_are_usable_in_weak_excitation(
 
 
 @pytest.mark.parametrize("settled", [True, False])
-def test_an_early_input_at_the_start_is_cleared_by_enough_later_samples(
-    settled: bool,
-) -> None:
+def test_an_early_input_at_the_start_is_cleared_by_enough_later_samples(settled: bool) -> None:
     samples, ahead = early(30.0, noise=0.03)
     error_model = after(samples, settled=False)
     assert error_model.relative_error(KNOWN_ROWS, UNDAMPED) == pytest.approx([ahead] * 3, rel=0.1)
@@ -418,9 +416,7 @@ def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:
     ("found", "sigma", "kept"),
     [(0.1, 0.08, False), (0.1, 0.1, True), (0.15, 0.08, True), (-0.1, 0.08, False)],
 )
-def test_an_earliness_is_refuted_by_blocks_that_would_show_it(
-    found: float, sigma: float, kept: bool
-) -> None:
+def test_blocks_that_would_show_it_refute_earliness(found: float, sigma: float, kept: bool) -> None:
     """Of 0.27 s, in three sigma, they must show less than half."""
     error_model, rows = ModelError(LAYOUT), len(LAYOUT.main) + len(LAYOUT.rolling)
     _make_early(error_model, [0.0, 0.27, 0.0])
@@ -487,9 +483,7 @@ def test_a_difference_of_a_ten_thousandth_of_the_power_is_found_by_a_third() -> 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize(("travel", "saturates"), [(0.03, True), (1.0, False)])
-def test_answers_do_not_hide_that_an_excited_aileron_saturates(
-    travel: float, saturates: bool, seed: int
-) -> None:
+def test_answers_do_not_hide_a_saturated_aileron(travel: float, saturates: bool, seed: int) -> None:
     """A loop answers gusts with as much as is injected: through this dither the injected signal
     alone sees a straight line.
     """

@@ -110,9 +110,7 @@ def test_a_fault_stops_learning_but_can_be_switched_off() -> None:
     [(math.pi, 0.0), (0.0, math.pi / 2), (0.0, -math.pi / 2), (math.pi / 2, 0.0)],
     ids=["upside down", "x down", "x up", "on its side"],
 )
-def test_a_rotated_board_is_named_with_its_mounting_angles(
-    rpy: tuple[float, float],
-) -> None:
+def test_a_rotated_board_is_named_with_its_mounting_angles(rpy: tuple[float, float]) -> None:
     signals, misaligned = flown(), rotation(*rpy, 0.0)
     signals.rates, signals.force = signals.rates @ misaligned, signals.force @ misaligned
     assert signals.findings() == ["mounting"]
@@ -339,9 +337,7 @@ QUAD = {  # four motors: lift and all moments
 
 
 @pytest.mark.parametrize(("given", "moved"), [({}, "surface"), (QUAD, "motor")])
-def test_a_reversed_sign_may_be_a_surface_a_motor_or_an_axis_of_the_imu(
-    given: dict[str, Any], moved: str
-) -> None:
+def test_a_reversed_sign_may_be_an_actuator_or_the_imu(given: dict[str, Any], moved: str) -> None:
     """Gravity does not show an Imu that points backwards, the signs do."""
     learning = Learning(**given)
     for t, sigma in ((1.0, 3.0), (6.0, 4.0), (7.0, 400.0)):
@@ -462,9 +458,7 @@ def test_with_a_known_sum_the_lag_error_counts_to_second_order(total: float, mis
 @pytest.mark.parametrize(
     ("lag", "total", "expected"), [(0.03, 0.02, 0.0), (0.07, 0.02, 0.041), (0.0, 0.08, 0.296)]
 )
-def test_of_a_configured_lag_the_error_beyond_chance_counts(
-    lag: float, total: float, expected: float
-) -> None:
+def test_a_configured_lag_counts_beyond_chance(lag: float, total: float, expected: float) -> None:
     """The error of the sum of lag and delay counts to first order, that of the lag to second."""
     estimate = DelayEstimate(0.02, 0.01, total, 0.01, 9.0, lag, lag_sigma=0.04, hidden=0.1)
     share, reason = setup_error(estimate, 0.02, 5.0, configured=True, structure="augmented")

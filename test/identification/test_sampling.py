@@ -157,9 +157,7 @@ def test_the_grid_has_the_rate_of_the_imu_despite_lost_samples(stamps_ms: Any, h
     ("rates_lost", "inputs_lost", "restarts"),
     [(150, 0, 0), (250, 0, 1), (0, 90, 0), (0, 150, 1)],  # ms
 )
-def test_only_a_long_gap_begins_a_new_stretch(
-    rates_lost: int, inputs_lost: int, restarts: int
-) -> None:
+def test_long_gaps_begin_a_new_stretch(rates_lost: int, inputs_lost: int, restarts: int) -> None:
     """Frequent inputs are held for 0.1 s: five intervals of 10 ms would be less."""
     rates_ms = [*range(0, 1000, 5), *range(1000 + rates_lost, 2500, 5)]
     inputs_ms = [*range(0, 1010, 10), *range(1000 + inputs_lost, 2500, 10)]
@@ -208,9 +206,7 @@ def test_linear_interpolation_waits_for_the_next_input_sample() -> None:
 @pytest.mark.parametrize(
     ("trim_time", "inputs", "missing"), [(0.0, [], "actuators"), (1.0, [0], "trim")]
 )
-def test_without_inputs_or_a_learned_trim_no_block_is_made(
-    trim_time: float, inputs: list[int], missing: str
-) -> None:
+def test_blocks_need_inputs_and_trim(trim_time: float, inputs: list[int], missing: str) -> None:
     target = sampler(actuators__learn_trim_time=trim_time)
     add_rates(target, range(0, 3000 * MS, 5 * MS))
     add_inputs(target, inputs)
@@ -222,9 +218,7 @@ def test_without_inputs_or_a_learned_trim_no_block_is_made(
     ("turning", "sway", "steady"),
     [(0.08, 0.0, True), (0.0, 0.08, True), (-0.12, 0.0, False), (0.0, 0.12, False)],
 )
-def test_the_trim_is_learned_in_a_slow_turn_and_in_light_gusts(
-    turning: float, sway: float, steady: bool
-) -> None:
+def test_the_trim_is_learned_in_quiet_flight(turning: float, sway: float, steady: bool) -> None:
     target = sampler(actuators__learn_trim_time=2.0)
     t = np.arange(0, 3000, 5)
     rates = turning + sway * np.sqrt(2.0) * np.sin(2.0 * np.pi * 2e-3 * t)

@@ -129,9 +129,7 @@ def random_walk(step: float, noise: float) -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize(("step", "noise"), [(0.05, 0.5), (0.1, 0.3), (0.3, 0.3), (0.2, 3.0)])
-def test_the_filter_is_as_good_as_the_kalman_filter_of_the_known_noise(
-    step: float, noise: float
-) -> None:
+def test_the_filter_is_as_good_as_kalmans_of_known_noise(step: float, noise: float) -> None:
     true, samples = random_walk(step, noise)
     found, sigma = (signal[600:] for signal in filtered(samples))
     ratio = (step / noise) ** 2  # Harvey 1989, section 4.1.2

@@ -100,9 +100,7 @@ def with_age(identifier: OnlineIdentifier, max_age: float) -> OnlineIdentifier:
     ("what", "max_age", "usable"),
     [("silent", 5.0, False), ("silent", 0.0, True), ("saturated", 5.0, False), ("off", 5.0, True)],
 )
-def test_a_usable_model_expires_while_learning_is_impossible(
-    what: str, max_age: float, usable: bool
-) -> None:
+def test_a_usable_model_expires_without_learning(what: str, max_age: float, usable: bool) -> None:
     """The actuators are silent, or the gyro is saturated. With learning off it does not expire."""
     identifier, rest = deepcopy(learned())
     with_age(identifier, max_age).supervisor.adapt = what != "off"
