@@ -41,12 +41,6 @@ class Record(prediction.Flown):
     def published(self) -> prediction.Published:
         return prediction.Published(self.ticks_ns, self.coefficients, self.structure, self.flow)
 
-    def at_ticks(self, which) -> Record:
-        """Return the record with some of the ticks only."""
-        flow = None if self.flow is None else self.flow[which]
-        ticks_ns, coefficients = self.ticks_ns[which], self.coefficients[which]
-        return replace(self, ticks_ns=ticks_ns, coefficients=coefficients, flow=flow)
-
     def samples(self, which: NDArray[np.bool_]) -> Record:
         """Return the record with some of the gyro samples only."""
         measured = (self.t_ns[which], self.rates[which], self.force[which])
@@ -230,16 +224,6 @@ def test_predictions_equal_the_end_of_an_integration(structure: Structure, horiz
         np.testing.assert_allclose(ahead[tick], model[-1], rtol=0.0, atol=1e-6)
 
 
-def with_errors(record: Record, every: int = 4) -> Record:
-    """Return the record with noise, and different wrong coefficients at some ticks only."""
-    rng = np.random.default_rng(3)
-    noisy = record.rates + 0.02 * rng.normal(size=record.rates.shape)
-    factors = rng.uniform(0.7, 1.4, (len(record.ticks_ns), 1, 1))
-    return replace(record, rates=noisy, coefficients=record.coefficients * factors).at_ticks(
-        np.arange(len(record.ticks_ns)) % every == 0
-    )
-
-
 @pytest.mark.parametrize(
     ("structure", "duration", "every"), [(AUGMENTED, 3.0, 8), (FLIGHT, 5.2, 24)]
 )
@@ -247,7 +231,13 @@ def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
     structure: Structure, duration: float, every: int
 ) -> None:
     """Each horizon includes only the windows of at least its length."""
-    record = with_errors(fly(structure, duration=duration, jitter=0.3), every)
+    record, rng = fly(structure, duration=duration, jitter=0.3), np.random.default_rng(3)
+    noisy = record.rates + 0.02 * rng.normal(size=record.rates.shape)
+    wrong = record.coefficients * rng.uniform(0.7, 1.4, (len(record.ticks_ns), 1, 1))
+    record = replace(
+        record, rates=noisy, ticks_ns=record.ticks_ns[::every], coefficients=wrong[::every],
+        flow=None if record.flow is None else record.flow[::every],
+    )  # fmt: skip
     result = record.everything()
     ends = record.ticks_ns[:, None] + np.rint(1e9 * np.array(prediction.HORIZONS)).astype(int)
     covered = (ends <= record.t_ns[-1]).sum(axis=0)

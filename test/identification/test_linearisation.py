@@ -60,18 +60,21 @@ def test_the_modes_are_the_eigenvalues_of_the_equations_written_out() -> None:
         assert math.isnan(own[name].frequency)
 
 
-def test_an_aircraft_without_pitch_stiffness_has_no_short_period() -> None:
-    own = modes(FLIGHT, aircraft(qdot_alpha=5.0), np.zeros(FLIGHT.mask.shape), LEVEL)
-    assert [mode.name for mode in own][:2] == ["longitudinal", "longitudinal"]
-    assert own[0].eigenvalue.real < own[1].eigenvalue.real
-
-
-def test_two_oscillations_are_called_lateral() -> None:
-    """Roll and spiral couple into a lateral phugoid."""
-    own = modes(FLIGHT, aircraft(pdot_p=-0.5, pdot_r=0.0), np.zeros(FLIGHT.mask.shape), LEVEL)
-    names = [mode.name for mode in own if mode.name != "short period"]
-    assert names == ["lateral"] * len(names)
-    assert len(names) == 2
+@pytest.mark.parametrize(
+    ("changes", "name", "others"),
+    [
+        ({"qdot_alpha": 5.0}, "longitudinal", ["roll", "dutch roll", "spiral"]),
+        # roll and spiral couple into a lateral phugoid
+        ({"pdot_p": -0.5, "pdot_r": 0.0}, "lateral", ["short period"]),
+    ],
+)
+def test_modes_without_pitch_stiffness_or_roll_damping_have_other_names(
+    changes: dict[str, float], name: str, others: list[str]
+) -> None:
+    own = modes(FLIGHT, aircraft(**changes), np.zeros(FLIGHT.mask.shape), LEVEL)
+    two = [mode.eigenvalue.real for mode in own if mode.name == name]
+    assert len(two) == 2 and two == sorted(two)
+    assert [mode.name for mode in own if mode.name != name] == others
 
 
 def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from equations import matrix, slope
-from flying import integrated, light_errors, light_measured, messages, run, sent, settings
+from flying import identified, integrated, light_errors, light_measured, run, sent
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -87,10 +87,10 @@ def test_the_free_prediction_includes_own_regressors() -> None:
 def test_own_regressors_leave_the_flow_angles_as_they_were() -> None:
     """On an aircraft without them they are zero, within three sigma."""
     measured = light_measured(40.0, rate=200.0)
-    identifier = OnlineIdentifier(settings(measured, structure=FLIGHT.name, update_rate=20.0))
-    last = run(identifier, messages(measured))[-1]
-    plain = OnlineIdentifier(settings(measured, update_rate=20.0))
-    before = run(plain, messages(measured))[-1]
+    (_, (*_, last)), (_, (*_, before)) = (
+        identified(measured, structure=name, update_rate=20.0)
+        for name in (FLIGHT.name, "flight_dynamics")
+    )
     where = FLIGHT.index("qdot/q|q|")
     assert abs(last.coefficients[where]) < 3.0 * last.sigma[where] < 3.0 * DRAG.sigma
     moved = np.abs(last.coefficients[:, :-1] - before.coefficients)[[0, 2, 3, 4]]

@@ -35,11 +35,8 @@ def test_a_reproduces_the_rigid_body_equations(name: str) -> None:
         np.testing.assert_allclose(left, right, rtol=0, atol=1e-12 * scale)
 
 
-def test_impossible_inertias_are_refused() -> None:
+def test_impossible_inertias_and_unknown_derivatives_are_refused() -> None:
     with pytest.raises(ValueError, match="not positive definite"):
         Inertia(1.0, 1.0, 1.0, 1.2)
-
-
-def test_an_unknown_derivative_is_named() -> None:
     with pytest.raises(ValueError, match="'l_flap' is no moment derivative"):
         full_moments(STRUCTURES["baseline"], l_flap=1.0)
