@@ -11,15 +11,8 @@ import flying
 import numpy as np
 import pytest
 
+from uav_ident_ros.identification import gates
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
-from uav_ident_ros.identification.gates import (
-    ROW_GATES,
-    Gates,
-    Look,
-    Outliers,
-    RestGate,
-    SensorGate,
-)
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, Drop
 from uav_ident_ros.identification.settings import Settings
@@ -83,14 +76,14 @@ def test_a_control_check_on_the_ground_is_not_learned_and_its_cost_is_recorded()
     assert not any(e.coefficients.any() for e in standing)
     assert all(e.adapting for e in flying.since(estimates, 5.5, 37.0))
     assert estimates[-1].usable
-    gates = identifier.supervisor.gates
+    costs = identifier.supervisor.gates.costs
     resting = sum(e.reason.startswith("at rest") for e in estimates) / len(estimates)
-    assert gates.costs()["rest"].share == pytest.approx(resting, abs=0.01) and 0.08 < resting < 0.15
-    assert gates.costs()["rest"].setting == "supervision.min_motion, min_force_motion"
-    assert "channel limit" not in gates.costs()
+    assert costs()["rest"].share == pytest.approx(resting, abs=0.01) and 0.08 < resting < 0.15
+    assert costs()["rest"].setting == "supervision.min_motion, min_force_motion"
+    assert "channel limit" not in costs()
     identifier.supervisor.adapt = False
     identifier.update(stream[-1].t_ns + 10 * 10**9)
-    assert gates.costs()["adaptation"].reason == "adaptation is switched off"
+    assert costs()["adaptation"].reason == "adaptation is switched off"
     _, ungated = flown(stream, 4.0, supervision__min_motion=0.0)
     assert ungated[-1].coefficients.any()
 
@@ -151,10 +144,12 @@ def rounded(
     held = (still[0] <= t) & (t < still[1])
     rates[held, 1] = rates[held][:1, 1]
     whole = np.hstack([rates, rng.normal(size=(len(t), 3))])
-    gate, ticks, chosen = SensorGate(), np.arange(0.05, seconds, 0.05), Settings()
+    gate, ticks, chosen = gates.SensorGate(), np.arange(0.05, seconds, 0.05), Settings()
     parts = np.split(whole, np.searchsorted(t, ticks, side="right"))
     return [
-        gate.check(Look(float(tick), part, np.empty((0, 4)), None, "", None, True, "", chosen))
+        gate.check(
+            gates.Look(float(tick), part, np.empty((0, 4)), None, "", None, True, "", chosen)
+        )
         for tick, part in zip(ticks, parts, strict=False)  # the last part has no tick
     ]
 
@@ -376,7 +371,7 @@ def test_a_clock_step_of_the_inputs_is_no_change_of_the_aircraft() -> None:
 
 def spikes_of(column: FloatArray, ticks: int = 5) -> list[int]:
     """Samples that the filter removes from one signal, filtered `ticks` samples at a time."""
-    samples, found = np.zeros((len(column), 6)), Outliers()
+    samples, found = np.zeros((len(column), 6)), gates.Outliers()
     samples[:, 1] = column
     out: list[int] = []
     for k in range(0, len(column), ticks):
@@ -431,13 +426,13 @@ TOO_QUIET = "too quiet: no rate moves beyond the gyro's noise"
 def test_rest_is_detected_by_the_gyros_noise_and_by_the_airspeed(
     swing: float, noise: float, airspeed: float | None, expected: str
 ) -> None:
-    gate, rng, chosen = RestGate(), np.random.default_rng(1), Settings()
+    gate, rng, chosen = gates.RestGate(), np.random.default_rng(1), Settings()
     reasons = set()
     for k in range(200):
         t = 0.05 * k
         samples = noise * rng.standard_normal((10, 6))
         samples[:, 1] += 0.5 * swing * np.sin(2.0 * np.pi * 0.3 * t)
-        look = Look(t, samples, np.zeros((0, 4)), airspeed, "", None, True, "", chosen)
+        look = gates.Look(t, samples, np.zeros((0, 4)), airspeed, "", None, True, "", chosen)
         reason = gate.check(look)
         if t > 4.0:
             reasons.add(reason)
@@ -446,8 +441,9 @@ def test_rest_is_detected_by_the_gyros_noise_and_by_the_airspeed(
 
 def test_every_gate_names_settings_that_exist() -> None:
     known = set(Settings.from_values({}).values())
-    gates = Gates()
-    names = [gate.setting for gate in gates.table] + [setting for setting, _ in ROW_GATES.values()]
+    names = [gate.setting for gate in gates.Gates().table] + [
+        setting for setting, _ in gates.ROW_GATES.values()
+    ]
     for entry in names:
         first, *others = entry.split(", ")
         prefix = first.rpartition(".")[0]
