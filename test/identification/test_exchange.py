@@ -68,12 +68,9 @@ def test_exchanged_inputs_are_found_in_every_order(
     assert looked(order, size=size) == found
 
 
-@pytest.mark.parametrize("dead", [(0,), (1,), (2,), (0, 1, 2)])
-def test_inputs_without_effect_are_not_exchanged(dead: tuple[int, ...]) -> None:
-    assert [looked([0, 1, 2, 3], dead=dead, seed=seed) for seed in range(20)] == [[]] * 20
-
-
-def test_inputs_that_do_not_move_show_nothing() -> None:
+def test_inputs_without_effect_or_motion_are_not_exchanged() -> None:
+    for dead in ((0,), (1,), (2,), (0, 1, 2)):
+        assert not any(looked([0, 1, 2, 3], dead=dead, seed=seed) for seed in range(20)), dead
     assert looked([2, 1, 0, 3], still=(1,)) == [("de", "da"), ("da", "de")]
     assert looked([2, 1, 0, 3], still=(0,)) == []
     assert looked([0, 1, 2, 3], still=(0, 1, 2, 3)) == []
