@@ -4,7 +4,6 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import adaptive_filters
 import cases
@@ -37,12 +36,8 @@ def flight() -> Flight:
     return plant_flight(40.0, segments=(Segment("multisine", amplitudes=AMPLITUDES, seed=1),))
 
 
-def case_of(flight: Flight, **sensors: Any) -> cases.Case:
-    return cases.measured(measure(flight, Sensors(**sensors), seed=1))
-
-
 def test_output_error_recovers_the_true_coefficients_without_noise(flight: Flight) -> None:
-    case = case_of(flight)
+    case = cases.measured(measure(flight, Sensors(), seed=1))
     truth = cases.truth_in(STRUCTURE, flight)
     found = output_error.fit(case, case.settings(PAPER), [0.6 * truth])
     mask = STRUCTURE.mask
@@ -52,7 +47,8 @@ def test_output_error_recovers_the_true_coefficients_without_noise(flight: Fligh
 
 
 def test_recursive_least_squares_recovers_the_dominant_coefficients(flight: Flight) -> None:
-    track, recorder = adaptive_filters.recorded(case_of(flight, gyro_noise=0.002), PAPER)
+    case = cases.measured(measure(flight, Sensors(gyro_noise=0.002), seed=1))
+    track, recorder = adaptive_filters.recorded(case, PAPER)
     found = adaptive_filters.run_filter("RLS", adaptive_filters.RLS_FORGETTING, recorder)
     assert 0.9 * len(track.t_ns) < len(found) <= len(track.t_ns)
     for name in cases.DOMINANT:

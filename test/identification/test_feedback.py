@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flying import identified, light_errors, light_measured, since, stiff_autopilot
+from scipy.signal import lfilter
 
 from uav_ident_ros.identification.estimators.information import Information
 from uav_ident_ros.identification.prior import Start, start_from
@@ -27,13 +28,12 @@ def fly(
     """Return samples of a roll in gusts that the aileron answers a tick later, and the gusts."""
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
-    f, gusts, answer = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows)), 0.0
-    keep = np.exp(-DT / GUST_TIME)
-    for k in range(n):
-        gusts[k, 0] = keep * gusts[k - 1, 0] + np.sqrt(1 - keep**2) * rng.normal()
-        f[k, P] = 0.1 * rng.normal()
-        f[k, AILERON] = excitation * np.sin(0.3 * k * DT * np.arange(1, 9)).sum() - gain * answer
-        answer = gusts[k, 0]
+    f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
+    keep, chance = np.exp(-DT / GUST_TIME), rng.normal(size=(n, 2))
+    gusts[:, 0] = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], chance[:, 0])
+    f[:, P] = 0.1 * chance[:, 1]
+    waves = np.sin(0.3 * DT * np.outer(np.arange(n), np.arange(1, 9))).sum(axis=1)
+    f[:, AILERON] = excitation * waves - gain * np.append(0.0, gusts[:-1, 0])
     y = np.zeros((n, LAYOUT.rows))
     y[:, 0] = -5.0 * f[:, P] + TRUE * f[:, AILERON] + gusts[:, 0]
     return Regression.of(y, f, f, DT), gusts
@@ -100,8 +100,8 @@ def test_steps_of_an_effective_input_or_the_throttle_in_slow_gusts_are_no_answer
         f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
         f[:, column] = 0.1 * np.resize(np.repeat([1.0, -1.0, 1.0, -1.0], [60, 40, 20, 20]), n)
         f[140:200, column] = f[350:, column] = 0.0
-        for k in range(1, n):
-            gusts[k, :3] = keep * gusts[k - 1, :3] + np.sqrt(1 - keep**2) * rng.normal(size=3)
+        chance = rng.normal(size=(n - 1, 3))
+        gusts[1:, :3] = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], chance, axis=0)
         samples = Regression.of(np.zeros((n, LAYOUT.rows)), f, f, DT)
         found.append(detect_feedback(samples, gusts, effect).share[column - INPUT_COLUMNS.start])
     assert any(found) == may_answer
@@ -118,11 +118,10 @@ def test_an_effective_input_with_excitation_and_answers_has_a_share(seed: int) -
 def test_an_effect_that_the_structure_does_not_have_is_no_answer(seed: int) -> None:
     """With an Imu turned in yaw the aileron pitches: the residual repeats its past."""
     samples, gusts = fly(0.0, 0.01, seed=seed)
-    residual, response, keep = 0.1 * gusts, 0.0, np.exp(-DT / 0.3)
-    residual[:, 1] = 0.1 * np.random.default_rng(seed).normal(size=len(gusts))
-    for k, aileron in enumerate(samples.f[:, AILERON].tolist()):
-        response = keep * response + (1.0 - keep) * aileron
-        residual[k, 1] += 10.0 * (aileron - response)
+    residual, keep, aileron = 0.1 * gusts, np.exp(-DT / 0.3), samples.f[:, AILERON]
+    response = lfilter([1.0 - keep], [1.0, -keep], aileron)
+    chance = np.random.default_rng(seed).normal(size=len(gusts))
+    residual[:, 1] = 0.1 * chance + 10.0 * (aileron - response)
     assert not detect_feedback(samples, residual, effect=TRUE).share.any()
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flying import flight_of, identified, light_errors, light_measured, with_injected
+from scipy.signal import lfilter
 
 from uav_ident_ros.identification.delay import APART, LAGS, STEP, SYSTEMATIC_ERROR, by_injection
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -77,9 +78,7 @@ def test_delay_and_lag_are_found_in_closed_loop(delay: float, lag: float, gusts:
 def test_the_lag_in_use_is_removed_and_a_given_lag_determines_the_delay() -> None:
     x, u, injected = closed_loop(0.04, 0.06)
     keep = math.exp(-STEP / 0.06)
-    slow = u.copy()
-    for k in range(1, len(u)):
-        slow[k] = keep * slow[k - 1] + (1.0 - keep) * u[k]
+    slow = lfilter([1.0 - keep], [1.0, -keep], u, axis=0)
     plain, undone = found(x, u, injected), found(x, slow, injected, lag=0.06)
     with_lag = found(x, u, injected, lags=(0.06,))
     assert plain and undone and with_lag

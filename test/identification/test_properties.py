@@ -279,16 +279,6 @@ jumping_legs = st.lists(st.tuples(steady_flights, new_bases), min_size=2, max_si
 TWO_BASES = [(Fly(3.0, 200.0, 1.0, 0.0, 1), 2 * S), (Fly(3.0, 200.0, 1.0, 0.0, 2), 0)]
 
 
-def flown(legs: list[tuple[Fly, int]]) -> list[Sample]:
-    """Samples of several flights with gaps between them, in the order of their stamps."""
-    samples: list[Sample] = []
-    start_ns = START_NS
-    for flight, gap_ns in legs:
-        samples += flight.samples(start_ns)
-        start_ns += round(flight.seconds * S) + gap_ns
-    return samples
-
-
 def estimates_of(
     settings: Settings, samples: list[Sample], batches: Iterator[int]
 ) -> tuple[list[Estimate], dict[str, Any]]:
@@ -328,7 +318,11 @@ def test_batching_and_order_of_arrival_do_not_change_the_estimates(
 
     Ticks due before a jump of the stamps are computed even after it.
     """
-    samples = flown(legs)
+    samples: list[Sample] = []
+    start_ns = START_NS
+    for flight, gap_ns in legs:
+        samples += flight.samples(start_ns)
+        start_ns += round(flight.seconds * S) + gap_ns
     reference, dropped = estimates_of(settings, samples, itertools.repeat(1))
     jumps = any(gap_ns > S for _, gap_ns in legs)
     if not jumps:  # samples arrive up to `input_wait` late; at 0 only the streams' order changes
