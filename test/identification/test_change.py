@@ -55,10 +55,6 @@ def looked(
     return found
 
 
-def places(found: list[tuple[int, Change]]) -> list[tuple[int, int | None]]:
-    return [(change.row, change.column) for _, change in found]
-
-
 def moved(
     u: FloatArray, more: FloatArray, noise: ArrayLike = 0.05, **known: Any
 ) -> list[tuple[int, Change]]:
@@ -170,7 +166,7 @@ def test_a_change_beyond_a_reversed_surface_is_not_detected(change: float, detec
     u = np.where(excited, 0.2, 0.03) * np.random.default_rng(2).normal(size=len(k))
     noise = 0.05 + 3.0 * change**2 * np.where(excited, 0.05, 4e-4 * (2400 - k))
     found = moved(u, change * 20.0 * u * ~excited, noise, sigma=1.0)
-    assert places(found[:1]) == [(1, 8)] * detected
+    assert [(c.row, c.column) for _, c in found[:1]] == [(1, 8)] * detected
 
 
 def test_a_change_in_one_row_does_not_hide_that_in_another() -> None:
@@ -184,7 +180,7 @@ def test_a_change_in_one_row_does_not_hide_that_in_another() -> None:
     y[:, 1] += 12.0 * de * (k >= 1200)
     y[:, 0] -= 12.0 * da * (k >= 1230)
     found = looked(y, f, rows, sigma=2.0 + 0.1 * np.maximum(k - 1200, 0))
-    assert places(found[:2]) == [(1, 8), (0, 10)]
+    assert [(c.row, c.column) for _, c in found[:2]] == [(1, 8), (0, 10)]
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5])

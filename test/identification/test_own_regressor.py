@@ -62,14 +62,6 @@ def flown(structure: str) -> tuple[Estimate, ...]:
     return tuple(run(identifier, sorted(stream, key=lambda sample: sample.t_ns)))
 
 
-def one_second_fit(structure: Structure) -> FloatArray:
-    t, u, x = flight()
-    t_ns = np.round(t * 1e9).astype(np.int64)
-    measured = Flown(t_ns, x, InputSignal(t_ns, u), np.zeros((len(t), 2)), np.zeros(3))
-    errors = window_errors(measured, Published.of(flown(structure.name), structure))
-    return score_windows(errors, int(t_ns[0]), int(t_ns[-1]))["last_40_percent"].model
-
-
 def test_own_regressors_are_identified_with_their_sigma() -> None:
     last = flown("own")[-1]
     for name, true in TRUE.items():
@@ -79,7 +71,15 @@ def test_own_regressors_are_identified_with_their_sigma() -> None:
 
 
 def test_the_free_prediction_includes_own_regressors() -> None:
-    with_own, without = one_second_fit(OWN), one_second_fit(STRUCTURES["augmented"])
+    t, u, x = flight()
+    t_ns = np.round(t * 1e9).astype(np.int64)
+    measured = Flown(t_ns, x, InputSignal(t_ns, u), np.zeros((len(t), 2)), np.zeros(3))
+    fits = []
+    for structure in (OWN, STRUCTURES["augmented"]):
+        errors = window_errors(measured, Published.of(flown(structure.name), structure))
+        scores = score_windows(errors, int(t_ns[0]), int(t_ns[-1]))
+        fits.append(scores["last_40_percent"].model)
+    with_own, without = fits
     assert (with_own > 95.0).all()
     assert (with_own - without)[:2].min() > 2.0
 

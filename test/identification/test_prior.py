@@ -17,8 +17,6 @@ from uav_ident_ros.identification.structure import STRUCTURES
 
 FLIGHT = STRUCTURES["flight_dynamics"]
 
-DAMPING = ("pdot/p", "qdot/q", "rdot/r")
-
 
 def sigma(name: str) -> float:
     """Return the weak prior's sigma in the largest structure with this coefficient."""
@@ -75,7 +73,7 @@ def test_well_known_coefficients_are_resumed_with_a_sigma_of_a_fifth() -> None:
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_damping_is_bounded_by_zero_unless_a_measured_force_has_a_share(structure: str) -> None:
     own = STRUCTURES[structure]
-    damping = tuple(zip(*(own.index(name) for name in DAMPING), strict=True))
+    damping = tuple(zip(*map(own.index, ("pdot/p", "qdot/q", "rdot/r")), strict=True))
     for free in (own.mask, own.mask & ~own.mask):
         shared = structure == "augmented" and free.any()
         expected = np.inf if shared else 0.0
