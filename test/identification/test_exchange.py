@@ -128,7 +128,7 @@ def test_a_turn_of_the_imu_is_found_from_effects_on_other_axes(roll: float, yaw:
         *({"effects": other(*place)} for place in product([(1, 2), (1, 1), (2, 0)], [1.0, 6.0])),
     ],
 )
-def test_straight_imus_are_not_turned(flown: dict[str, Any]) -> None:
+def test_no_turn_is_found_without_evidence(flown: dict[str, Any]) -> None:
     assert turned(**flown).turned() is None
 
 

@@ -192,9 +192,9 @@ def weak(samples: Regression, noise: float) -> Regression:
 def test_with_poor_instruments_of_answers_sigma_is_the_priors_and_the_shift(initial: float) -> None:
     """The estimate may then contain all of the gusts."""
     samples, gusts = fly(0.02, 0.0)
-    start, by = start_with(pdot_da=initial) if initial else start_with(), (True,)
-    poor = weak(samples, 0.02)
-    value, sigma = learned(poor, gusts, 0.9, start, sure=not initial, instruments=by)
+    start = start_with(pdot_da=initial) if initial else start_with()
+    poor, sure = weak(samples, 0.02), not initial
+    value, sigma = learned(poor, gusts, 0.9, start, sure=sure, instruments=(True,))
     assert sigma == pytest.approx(np.hypot(start.sigma[PDOT_DA], value - initial), rel=0.05)
 
 

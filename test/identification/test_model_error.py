@@ -92,9 +92,9 @@ def shares(
     """Return the model error after each two samples, (m / 2, 3)."""
     found, linear = [], known(effect) if linear is None else linear
     for k in range(0, samples.count, 2):
-        part, start = RowSamples(samples.signals[:, k : k + 2], samples.dt), k == 0
-        state |= {"force_is_known": force_is_known, "restarted": start}
-        error_model.add(part, weight, ratio, roll_ratio, linear, **state)
+        part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
+        given = {"force_is_known": force_is_known, "restarted": k == 0, **state}
+        error_model.add(part, weight, ratio, roll_ratio, linear, **given)
         found.append(error_model.share)
     return np.array(found)
 
@@ -484,8 +484,9 @@ def test_a_difference_of_a_ten_thousandth_of_the_power_is_found_by_a_third() -> 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize(("travel", "saturates"), [(0.03, True), (1.0, False)])
 def test_answers_do_not_hide_a_saturated_aileron(travel: float, saturates: bool, seed: int) -> None:
-    """A loop answers gusts with as much as is injected: through this dither the injected signal
-    alone sees a straight line.
+    """A loop answers gusts with as much as is injected.
+
+    Through this dither the injected signal alone sees a straight line.
     """
     rng, count = np.random.default_rng(seed), round(80.0 / DT)
     t = DT * np.arange(count)
