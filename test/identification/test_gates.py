@@ -10,6 +10,7 @@ from typing import Any
 import flying
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from uav_ident_ros.identification import gates
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
@@ -46,13 +47,13 @@ def flown(
     return flying.identified(flying.excited(), stream=part, **{"structure": STRUCTURE, **changes})
 
 
-def altered(alter: Callable[[float, FloatArray], FloatArray]) -> list[flying.SentSample]:
+def altered(alter: Callable[[float, FloatArray], ArrayLike]) -> list[flying.SentSample]:
     """The flight's messages with rates changed by `alter`, a function of the time, s, and rates."""
     stream = flying.messages(flying.excited())
     start = stream[0].t_ns
 
     def altered_message(m: flying.SentSample) -> flying.SentSample:
-        rates = alter((m.t_ns - start) * 1e-9, np.array(m.values[:3]))
+        rates = np.asarray(alter((m.t_ns - start) * 1e-9, np.array(m.values[:3])))
         return m._replace(values=(*rates.tolist(), *m.values[3:]))
 
     return [altered_message(m) if m.stream == "rates" else m for m in stream]
@@ -95,10 +96,8 @@ def test_a_constant_specific_force_counts_as_rest() -> None:
 
 
 def test_a_saturated_gyro_pauses_learning_and_scoring_for_a_second_more() -> None:
-    def clip(t: float, rates: FloatArray) -> FloatArray:
-        return np.array([4.0, *rates[1:]]) if 20.0 <= t < 21.0 else rates
-
-    _, estimates = flown(altered(clip), supervision__max_rate=4.0)
+    clipped = altered(lambda t, rates: [4.0, *rates[1:]] if 20.0 <= t < 21.0 else rates)
+    _, estimates = flown(clipped, supervision__max_rate=4.0)
     assert reasons_of(estimates, 20.1, 21.9) == {"the gyro is saturated: p reaches 4 rad/s"}
     paused = flying.since(estimates, 20.1, 21.9)
     before = flying.since(estimates, 19.0, 19.9)[-1]
@@ -110,10 +109,7 @@ def test_a_saturated_gyro_pauses_learning_and_scoring_for_a_second_more() -> Non
 
 
 def test_a_stuck_gyro_is_named_and_its_samples_are_not_learned() -> None:
-    def freeze(t: float, rates: FloatArray) -> FloatArray:
-        return np.array([rates[0], 0.123, rates[2]]) if 25.0 <= t < 31.0 else rates
-
-    stream = altered(freeze)
+    stream = altered(lambda t, x: [x[0], 0.123, x[2]] if 25.0 <= t < 31.0 else x)
     _, estimates = flown(stream)
     assert reasons_of(estimates, 25.4, 31.0) == {
         "the Imu is stuck: q has not changed for 0.25 s or more"
@@ -331,11 +327,8 @@ def test_the_rows_pause_separately_for_lack_of_excitation() -> None:
 
 
 def test_a_single_sample_out_of_range_is_dropped_without_a_pause() -> None:
-
-    def spoil(t: float, rates: FloatArray) -> FloatArray:
-        return np.array([34.9, *rates[1:]]) if abs(t - 33.0) < 1e-3 else rates
-
-    identifier, estimates = flown(altered(spoil))
+    spoiled = altered(lambda t, rates: [34.9, *rates[1:]] if abs(t - 33.0) < 1e-3 else rates)
+    identifier, estimates = flown(spoiled)
     assert all(e.usable and e.adapting for e in flying.since(estimates, 32.0, 36.0))
     assert identifier.intake.drops["rates"][Drop.GLITCH] == 1
     found, right = estimates[-1].coefficients, healthy().coefficients

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -279,8 +280,10 @@ def test_evidence_is_held_and_then_cleared() -> None:
 # --- findings from the coefficients ---------------------------------------------------------------
 
 STRUCTURE = STRUCTURES["augmented"]
-RIGHT = {"pdot/da": 45.0, "pdot/dr": 3.0, "qdot/de": -30.0, "rdot/dr": -9.0, "rdot/da": -1.5}
-REVERSED = RIGHT | {"pdot/da": -45.0}
+DERIVATIVES = {"pdot/da": 45.0, "pdot/dr": 3.0, "qdot/de": -30.0, "rdot/dr": -9.0, "rdot/da": -1.5}
+RIGHT = matrix(STRUCTURE, DERIVATIVES)
+REVERSED = matrix(STRUCTURE, DERIVATIVES | {"pdot/da": -45.0})
+OTHER_RUDDER = matrix(STRUCTURE, DERIVATIVES | {"rdot/dr": 9.0})
 
 
 @pytest.mark.parametrize(
@@ -290,15 +293,14 @@ REVERSED = RIGHT | {"pdot/da": -45.0}
         (REVERSED, 1.0, "signs"),
         (REVERSED, 10.0, "signs"),
         (REVERSED, 16.0, None),
-        (RIGHT | {"rdot/dr": 9.0}, 1.0, "signs"),
+        (OTHER_RUDDER, 1.0, "signs"),
     ],
 )
 def test_reversed_channels_are_named_beyond_three_sigma(
-    values: dict[str, float], sigma: float, name: str | None
+    values: FloatArray, sigma: float, name: str | None
 ) -> None:
-    spread = np.full(STRUCTURE.mask.shape, sigma)
-    expected = ("+pdot/da", "-rdot/dr")
-    found = sign_finding(STRUCTURE, matrix(STRUCTURE, values), spread, expected)
+    spread, expected = np.full(values.shape, sigma), ("+pdot/da", "-rdot/dr")
+    found = sign_finding(STRUCTURE, values, spread, expected)
     assert (found.name if found else None) == name
 
 
@@ -313,19 +315,23 @@ def test_an_imu_that_points_backwards_is_never_usable_where_signs_are_expected()
     assert not identified(measured, supervision__expected_signs=signs)[0].plausibility.noted
 
 
-class Learning:
-    """Findings from the coefficients learned so far."""
+def learning(**given: Any) -> Plausibility:
+    expected = {"supervision__expected_signs": ("+pdot/da",)}
+    return Plausibility(settings_of(structure="augmented", **expected, **given))
 
-    def __init__(self, **given: Any) -> None:
-        expected = {"supervision__expected_signs": ("+pdot/da",)}
-        self.checks = Plausibility(settings_of(structure="augmented", **expected, **given))
 
-    def found(self, t: float, values: dict[str, float], sigma: float) -> list[str]:
-        """Return the findings at a time, s, from the coefficients at that time."""
-        nothing = np.zeros((0, 6))
-        self.checks.look(t, nothing, nothing[:, :4])
-        self.checks.judge(t, matrix(STRUCTURE, values), np.full(STRUCTURE.mask.shape, sigma))
-        return [finding.name for finding in self.checks.findings]
+def judged(
+    checks: Plausibility,
+    t: float,  # s
+    values: FloatArray,
+    sigma: float,
+    *gyro: GyroFilters,
+) -> list[str]:
+    """Return the findings at a time from the coefficients learned until then."""
+    nothing = np.zeros((0, 6))
+    checks.look(t, nothing, nothing[:, :4])
+    checks.judge(t, values, np.full(values.shape, sigma), *gyro)
+    return [finding.name for finding in checks.findings]
 
 
 QUAD = {  # four motors: lift and all moments
@@ -339,18 +345,17 @@ QUAD = {  # four motors: lift and all moments
 @pytest.mark.parametrize(("given", "moved"), [({}, "surface"), (QUAD, "motor")])
 def test_a_reversed_sign_may_be_an_actuator_or_the_imu(given: dict[str, Any], moved: str) -> None:
     """Gravity does not show an Imu that points backwards, the signs do."""
-    learning = Learning(**given)
+    checks = learning(**given)
     for t, sigma in ((1.0, 3.0), (6.0, 4.0), (7.0, 400.0)):
-        learning.found(t, REVERSED, sigma)
-    fault = learning.checks.fault
-    assert fault.startswith("pdot/da is -45 +- 4, expected is +")  # the strongest evidence
-    assert f"a {moved} is connected the wrong way round" in fault
-    assert fault.endswith("an axis of the Imu is reversed: see imu.rpy")
+        judged(checks, t, REVERSED, sigma)
+    assert checks.fault.startswith("pdot/da is -45 +- 4, expected is +")  # the strongest evidence
+    assert f"a {moved} is connected the wrong way round" in checks.fault
+    assert checks.fault.endswith("an axis of the Imu is reversed: see imu.rpy")
 
 
 def test_a_finding_on_coefficients_stays_until_it_is_the_less_likely() -> None:
     """A finding begins at three sigma; evidence below that does not begin it anew."""
-    learning = Learning()
+    checks = learning()
     for t, values, sigma, named in (
         (1.0, REVERSED, 9.0, []),
         (3.0, REVERSED, 25.0, []),
@@ -363,25 +368,21 @@ def test_a_finding_on_coefficients_stays_until_it_is_the_less_likely() -> None:
         (18.5, REVERSED, 9.0, ["signs"]),
         (25.0, REVERSED, 90.0, ["signs"]),
     ):
-        assert learning.found(t, values, sigma) == named, t
+        assert judged(checks, t, values, sigma) == named, t
 
 
-@dataclass
-class Evidence:
+def evidence(sigma: float) -> GyroFilters:
     """Evidence for wrong axes in place of the gyro's filters."""
 
-    sigma: float
+    def wrong(sure: float) -> WrongAxes | None:
+        return WrongAxes(HYPOTHESES[1], sigma, "lift") if sigma > sure else None
 
-    def wrong_axes(self, sure: float) -> WrongAxes | None:
-        return WrongAxes(HYPOTHESES[1], self.sigma, "lift") if self.sigma > sure else None
-
-    by_lift = wrong_axes
+    return cast(GyroFilters, SimpleNamespace(wrong_axes=wrong, by_lift=wrong))
 
 
 def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> None:
     """Doubted axes take the verdict alone; beyond 4.1 sigma they are named as well."""
-    checks, nothing = Plausibility(settings_of()), np.zeros((0, 6))
-    values = matrix(STRUCTURES["flight_dynamics"], {})
+    checks, values = Plausibility(settings_of()), matrix(STRUCTURES["flight_dynamics"], {})
     for t, sigma, doubted, named in (
         (1.0, 2.9, False, False),
         (2.0, 3.1, True, False),
@@ -391,13 +392,10 @@ def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> No
         (10.0, 3.1, True, True),
         (11.0, -1.0, False, False),
     ):
-        checks.look(t, nothing, nothing[:, :4])
-        checks.judge(t, values, np.ones_like(values), cast(GyroFilters, Evidence(sigma)))
+        assert judged(checks, t, values, 1.0, evidence(sigma)) == ["axes"] * named, t
         assert (checks.doubt is not None, bool(checks.fault)) == (doubted, named), t
-        assert checks.likely_axes.startswith("the axes of the gyro are unconfirmed: ") == (
-            sigma > 0.0
-        )
-        assert [finding.name for finding in checks.findings] == ["axes"] * named, t
+        likely = checks.likely_axes.startswith("the axes of the gyro are unconfirmed: ")
+        assert likely == (sigma > 0.0)
 
 
 # --- small errors of the settings ---------------------------------------------------------------
