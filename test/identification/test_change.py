@@ -13,13 +13,7 @@ from scipy.signal import lfilter
 from uav_ident_ros.identification.estimators.change import Change, ChangeDetector, _whitened
 from uav_ident_ros.identification.regression import Regression, layout
 from uav_ident_ros.identification.residuals import UNKNOWN_ANSWER
-from uav_ident_ros.identification.structure import (
-    CONSTANT_COLUMN,
-    ROWS,
-    STRUCTURES,
-    FloatArray,
-    Structure,
-)
+from uav_ident_ros.identification.structure import CONSTANT_COLUMN, ROWS, STRUCTURES, FloatArray
 from uav_ident_ros.simulation.flight import CoefficientChange
 
 STRUCTURE = STRUCTURES["augmented"]
@@ -30,27 +24,27 @@ NO_ERROR, FREE = np.zeros((2, 3))
 """No model error; inputs that answer no disturbances."""
 
 
-def detector(structure: Structure = STRUCTURE) -> ChangeDetector:
-    return ChangeDetector(structure.mask, layout(structure), 15.0)
+def detector(name: str = STRUCTURE.name) -> ChangeDetector:
+    return ChangeDetector(STRUCTURES[name].mask, layout(STRUCTURES[name]), 15.0)
 
 
 def looked(
     y: FloatArray,
     f: FloatArray,
     coefficients: FloatArray = ELEVATOR,
-    structure: Structure = STRUCTURE,
+    structure: str = STRUCTURE.name,
     sigma: ArrayLike = 0.0,
     outlying: ArrayLike = False,  # Whether the residual of qdot is far outside its usual size
     error: FloatArray = NO_ERROR,
     answers: FloatArray = UNKNOWN_ANSWER,
 ) -> list[tuple[int, Change]]:
     """Return the changes detected in accelerations and regressors of each tick, and their ticks."""
-    own, found = detector(structure), []
+    own, found, shape = detector(structure), [], STRUCTURES[structure].mask.shape
     sigma, far = (np.broadcast_to(v, len(y)) for v in (sigma, outlying))
     for k in range(len(y)):
         tick = slice(k, k + 1)
         if own.add(Regression.of(y[tick], f[tick], f[tick], TICK)):
-            spread, rows = np.full(structure.mask.shape, sigma[k]), np.array([False, far[k], False])
+            spread, rows = np.full(shape, sigma[k]), np.array([False, far[k], False])
             found += [(k, c) for c in own.look(coefficients, spread, rows, error, answers)]
     return found
 
@@ -186,8 +180,7 @@ def test_a_change_in_one_row_does_not_hide_that_in_another() -> None:
 @pytest.mark.parametrize("share", [1.0, 0.5])
 def test_a_change_shows_in_the_force_of_a_surface(share: float) -> None:
     """A rudder's moment is nearly all by its side force, which is measured beside it."""
-    structure, chance = STRUCTURES["flight_dynamics"], np.random.default_rng(5)
-    problem = layout(structure)
+    problem, chance = layout(STRUCTURES["flight_dynamics"]), np.random.default_rng(5)
     moved_force = problem.index[3, problem.surfaces[1, 3]]
     rows = np.zeros((problem.rows, problem.size))
     rows[2, 9], rows[3, moved_force] = -2.0, 5.0
@@ -196,7 +189,7 @@ def test_a_change_shows_in_the_force_of_a_surface(share: float) -> None:
     f[:, 9], f[:, moved_force] = dr, np.diff(dr, prepend=0.0) / TICK
     y = f @ rows.T * np.where(np.arange(1400) >= 1200, share, 1.0)[:, None]
     y += 0.3 * chance.normal(size=y.shape)
-    found = looked(y, f, rows, structure)
+    found = looked(y, f, rows, "flight_dynamics")
     assert bool(found) == (share < 1.0)
     for detected, change in found[:1]:
         assert 1200 < detected < 1300

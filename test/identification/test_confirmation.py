@@ -7,13 +7,7 @@ from scipy.signal import lfilter
 
 from uav_ident_ros.identification.regression import Layout, Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Autoregression, Confirmation
-from uav_ident_ros.identification.structure import (
-    INPUT_COLUMNS,
-    INPUTS,
-    MAIN_COLUMNS,
-    STRUCTURES,
-    FloatArray,
-)
+from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, MAIN_COLUMNS, STRUCTURES
 
 LAYOUT, FLOW = (layout(STRUCTURES[name]) for name in ("augmented", "flight_dynamics"))
 DT = 0.05
@@ -38,7 +32,7 @@ RUDDER[YAW, MAIN_COLUMNS[YAW]], RUDDER[3, BY_FORCE] = -2.0, 5.0
 class Flight:
     """Ticks with moving surfaces, in slow, strong gusts."""
 
-    def __init__(self, seed: int = 1, places: Layout = LAYOUT, linear: FloatArray = LINEAR) -> None:
+    def __init__(self, seed: int = 1, places: Layout = LAYOUT, linear: np.ndarray = LINEAR) -> None:
         self.confirmed, self._noise = Confirmation(places), Autoregression(places.rows)
         self._places, self._linear = places, linear
         self.max_age, self.answers = MAX_AGE, np.zeros(3, dtype=bool)
@@ -78,13 +72,13 @@ class Flight:
         self._look(f, f @ actual.T + noise, f @ self._linear.T)
         return self.confirmed.doubt(YAW)
 
-    def add(self, u: FloatArray, measured: FloatArray, estimated: FloatArray | None = None) -> None:
+    def add(self, u: np.ndarray, measured: np.ndarray, estimated: np.ndarray | None = None) -> None:
         """Add samples: inputs (N, 4), measured and estimated acceleration (N, 3), rad/s^2."""
         f = np.zeros((len(u), self._places.size))
         f[:, INPUT_COLUMNS] = u
         self._look(f, measured, f @ self._linear.T if estimated is None else estimated)
 
-    def _look(self, f: FloatArray, measured: FloatArray, estimated: FloatArray) -> None:
+    def _look(self, f: np.ndarray, measured: np.ndarray, estimated: np.ndarray) -> None:
         for k in range(0, len(f), BLOCK):
             own = slice(k, k + BLOCK)
             samples = Regression.of(measured[own], f[own], f[own], DT)
