@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rates and inputs on one grid: exact pairing, gaps, stale inputs, trim, bounded memory."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,31 +57,27 @@ def gridded(rates_ms: Any, inputs_ms: Any, until_ms: int, **values: Any) -> list
     return list(blocks(target, until_ms * MS))
 
 
-def sampled(measurements: Measurements, **changes: Any) -> tuple[Sampler, list[Block]]:
-    """A sampler with a whole flight, and its blocks."""
-    target = Sampler(settings(measurements, **changes))
-    for message in messages(measurements):
+def filtered(
+    m: Measurements, structure: str, arm: Sequence[float] = (0.0, 0.0, 0.0), **changes: Any
+) -> tuple[FloatArray, FloatArray]:
+    """Filtered accelerations and regressors of a whole flight."""
+    target, svf, out = Sampler(settings(m, **changes)), None, []
+    for message in messages(m):
         stream = target.rates if message.stream == "rates" else target.raw_inputs
         stream.append(message.t_ns, message.values)
-    first, last = int(measurements.imu_t_ns[0]), int(measurements.imu_t_ns[-1])
-    return target, list(blocks(target, last + TICK_NS, first))
-
-
-def misfit(measurements: Measurements, cutoff: float = 15.0, **changes: Any) -> FloatArray:
-    """Largest ``|y - A f|`` of the filtered equation, relative to the largest |y|; per row."""
-    flight = measurements.flight
-    assert flight.coefficients is not None
-    structure = STRUCTURES[flight.structure]
-    residuals, accelerations = [], []
-    svf = None
-    for block in sampled(measurements, **changes)[1]:
-        if svf is None:
-            svf = StateVariableFilter(structure, cutoff, block.h, np.zeros(3))
+    for block in blocks(target, int(m.imu_t_ns[-1]) + TICK_NS, int(m.imu_t_ns[0])):
+        svf = svf or StateVariableFilter(STRUCTURES[structure], 15.0, block.h, np.array(arm))
         data = svf.apply(block)
-        residuals.append(data.y - data.f @ flight.coefficients.T)
-        accelerations.append(data.y)
-    e, y = np.concatenate(residuals), np.concatenate(accelerations)
-    return np.abs(e).max(axis=0) / np.abs(y).max(axis=0)
+        out.append((data.y.copy(), data.f.copy()))
+    y, f = (np.concatenate(part) for part in zip(*out, strict=True))
+    return y, f
+
+
+def misfit(m: Measurements, **changes: Any) -> FloatArray:
+    """Largest ``|y - A f|`` of the filtered equation, relative to the largest |y|; per row."""
+    assert m.flight.coefficients is not None
+    y, f = filtered(m, m.flight.structure, **changes)
+    return np.abs(y - f @ m.flight.coefficients.T).max(axis=0) / np.abs(y).max(axis=0)
 
 
 # -- the filtered equation holds ---------------------------------------------------------------
@@ -104,12 +100,11 @@ def test_the_filtered_equation_holds_with_delay_and_lag(delay: float, lag: float
 
 def test_the_lever_arm_corrects_an_offset_accelerometer() -> None:
     flight = plant_flight(5.0, rate=1000.0, max_step=1e-3, force=ColouredNoise(0.3, 0.5))
-    structure, forces = STRUCTURES["augmented"], []
     arms = ((0.0, 0.0, 0.0), (1.0, -0.3, 0.2))
-    for arm in arms:
-        svf = StateVariableFilter(structure, 15.0, 0.001, np.array(arm))
-        own = measure(flight, Sensors(1000.0, lever_arm=arm))
-        forces.append(np.concatenate([svf.apply(b).f[:, 13:] for b in sampled(own)[1]]))
+    measured = (measure(flight, Sensors(1000.0, lever_arm=arm)) for arm in arms)
+    forces = [
+        filtered(m, "augmented", arm)[1][:, 13:] for m, arm in zip(measured, arms, strict=True)
+    ]
     uncorrected = flight.force_at(arms[1])[:, 1:] - flight.force_at(arms[0])[:, 1:]
     # The rest is half a cell: held inputs make the accelerations jump between two samples.
     assert np.abs(forces[1] - forces[0]).max() < 0.01 * np.abs(uncorrected).max()
