@@ -51,6 +51,14 @@ def flown(a: FloatArray, state: FloatArray, u: FloatArray, v: float, seconds: fl
     ).y[:, -1]
 
 
+def with_down(state: FloatArray) -> FloatArray:
+    """Return the model's own state, (..., 8), with the direction of down for roll and pitch."""
+    *first, roll, pitch = np.moveaxis(state, -1, 0)
+    level = np.cos(pitch)
+    down = (-np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level)
+    return np.stack([*first, *down], axis=-1)
+
+
 def slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
     """Return the derivative by central differences, one column per argument."""
     steps = 1e-6 * np.eye(len(at))

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
-from equations import AIRCRAFT, flight_equations, matrix
+from equations import AIRCRAFT, flight_equations, matrix, with_down
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
@@ -39,12 +40,6 @@ class Record(prediction.Flown):
     @property
     def published(self) -> prediction.Published:
         return prediction.Published(self.ticks_ns, self.coefficients, self.structure, self.flow)
-
-    def at_ticks(self, which) -> Record:
-        """Return the record with some of the ticks only."""
-        flow = None if self.flow is None else self.flow[which]
-        ticks_ns, coefficients = self.ticks_ns[which], self.coefficients[which]
-        return replace(self, ticks_ns=ticks_ns, coefficients=coefficients, flow=flow)
 
     def samples(self, which: NDArray[np.bool_]) -> Record:
         """Return the record with some of the gyro samples only."""
@@ -131,41 +126,27 @@ def fly(
     known = slice(int((duration + 0.2) / 0.05))
     signal = prediction.InputSignal(tu_ns[known], u[known], delay, time_constant)
     coefficients = np.broadcast_to(a, (len(ticks_ns), *a.shape))
-    return Record(
-        t_ns, x, signal, force, lever_arm, ticks_ns, coefficients, structure,
-        flow_states_at(ticks_ns, t_ns, flow) if structure is FLIGHT else None,
-    )  # fmt: skip
+    flow_states = None
+    if structure is FLIGHT:
+        at_ticks = [np.interp(ticks_ns - START_NS, t_ns - START_NS, part) for part in flow.T]
+        speed = np.full((len(ticks_ns), 1), AIRSPEED)
+        flow_states = np.hstack([with_down(np.transpose(at_ticks)), speed])
+    return Record(t_ns, x, signal, force, lever_arm, ticks_ns, coefficients, structure, flow_states)
 
 
-def flow_states_at(ticks_ns: NDArray[np.int64], t_ns: NDArray[np.int64], flow: Array) -> Array:
-    """Return flow angles and attitude at the ticks, from those at the samples."""
-    beta, alpha, roll, pitch = (
-        np.interp(ticks_ns - START_NS, t_ns - START_NS, part) for part in flow.T
-    )
-    down = (-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch))
-    speed = np.full(len(ticks_ns), AIRSPEED)
-    return np.stack([beta, alpha, *down, speed], axis=1)
-
-
-CASES = {
-    "irregular stamps": {"jitter": 0.4},
-    "slow gyro": {"rate": 37.0},
-    "delay and lag": {"delay": 0.033, "time_constant": 0.06},
-    "flight dynamics, delay and lag": {
-        "structure": FLIGHT, "rate": 200.0, "delay": 0.033, "time_constant": 0.06,
-    },
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_true_coefficients_have_a_fit_near_100_percent(case: str) -> None:
-    record = fly(duration=3.2, **CASES[case])
-    result = record.everything()
+@pytest.mark.parametrize(
+    ("flown", "limit"),
+    [
+        ({"rate": 37.0}, 99.0),  # rates between samples are interpolated linearly
+        ({"delay": 0.033, "time_constant": 0.06}, 99.995),
+        ({"structure": FLIGHT, "rate": 200.0, "delay": 0.033, "time_constant": 0.06}, 99.0),
+    ],
+    ids=["slow gyro", "delay and lag", "flight dynamics, delay and lag"],
+)
+def test_true_coefficients_have_a_fit_near_100_percent(flown: dict[str, Any], limit: float) -> None:
+    result = fly(duration=3.2, **flown).everything()
     assert result.windows >= 40
-    # Linear interpolation of the initial rates or the specific force between samples has an error,
-    # so those cases have a lower bound.
-    exact = record.structure is BASELINE and not case.startswith(("irregular", "slow"))
-    assert (result.free[:2] > (99.995 if exact else 99.0)).all()
+    assert (result.free[:2] > limit).all()
     assert (result.free[:2] <= 100.0).all()
     assert (result.hold < 60.0).all()
     np.testing.assert_array_equal(
@@ -229,9 +210,7 @@ def percent(model: list[Array], measured: list[Array]) -> Array:
 
 @pytest.mark.parametrize("structure", [AUGMENTED, FLIGHT])
 @pytest.mark.parametrize("horizon", [1.0, 0.05])
-def test_predictions_ahead_equal_the_end_of_an_integration(
-    structure: Structure, horizon: float
-) -> None:
+def test_predictions_equal_the_end_of_an_integration(structure: Structure, horizon: float) -> None:
     record = fly(structure, duration=3.0)
     factors = np.random.default_rng(3).uniform(0.5, 1.5, (len(record.ticks_ns), 1, 1))
     record = replace(record, coefficients=record.coefficients * factors)
@@ -245,16 +224,6 @@ def test_predictions_ahead_equal_the_end_of_an_integration(
         np.testing.assert_allclose(ahead[tick], model[-1], rtol=0.0, atol=1e-6)
 
 
-def with_errors(record: Record, every: int = 4) -> Record:
-    """Return the record with noise, and different wrong coefficients at some ticks only."""
-    rng = np.random.default_rng(3)
-    noisy = record.rates + 0.02 * rng.normal(size=record.rates.shape)
-    factors = rng.uniform(0.7, 1.4, (len(record.ticks_ns), 1, 1))
-    return replace(record, rates=noisy, coefficients=record.coefficients * factors).at_ticks(
-        np.arange(len(record.ticks_ns)) % every == 0
-    )
-
-
 @pytest.mark.parametrize(
     ("structure", "duration", "every"), [(AUGMENTED, 3.0, 8), (FLIGHT, 5.2, 24)]
 )
@@ -262,7 +231,13 @@ def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
     structure: Structure, duration: float, every: int
 ) -> None:
     """Each horizon includes only the windows of at least its length."""
-    record = with_errors(fly(structure, duration=duration, jitter=0.3), every)
+    record, rng = fly(structure, duration=duration, jitter=0.3), np.random.default_rng(3)
+    noisy = record.rates + 0.02 * rng.normal(size=record.rates.shape)
+    wrong = record.coefficients * rng.uniform(0.7, 1.4, (len(record.ticks_ns), 1, 1))
+    record = replace(
+        record, rates=noisy, ticks_ns=record.ticks_ns[::every], coefficients=wrong[::every],
+        flow=None if record.flow is None else record.flow[::every],
+    )  # fmt: skip
     result = record.everything()
     ends = record.ticks_ns[:, None] + np.rint(1e9 * np.array(prediction.HORIZONS)).astype(int)
     covered = (ends <= record.t_ns[-1]).sum(axis=0)
@@ -270,7 +245,9 @@ def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
     for i, horizon in enumerate(prediction.HORIZONS[: np.count_nonzero(covered)]):
         runs = [predicted(record, k, free=True, horizon=horizon) for k in range(covered[i])]
         measured = [m for _, m in runs]
-        expected, held = percent([p for p, _ in runs], measured), holding(record, measured)
+        expected, t = percent([p for p, _ in runs], measured), record.t_ns - START_NS
+        at_start = (line(t, record.rates, tick) for tick in record.ticks_ns - START_NS)
+        held = [np.tile(x, (len(m), 1)) for x, m in zip(at_start, measured, strict=False)]
         np.testing.assert_allclose(result.free[i], expected, atol=2e-4 if i == 0 else 2e-3)
         np.testing.assert_allclose(result.free_hold[i], percent(held, measured), atol=1e-8)
         if i == 0:
@@ -279,14 +256,6 @@ def test_fit_equals_the_formula_with_wrong_and_changing_coefficients(
             expected = percent(forced, measured)
             np.testing.assert_allclose(result.measured_force, expected, atol=2e-4)
             assert not np.allclose(result.measured_force, result.model, atol=1.0)
-
-
-def holding(record: Record, measured: list[Array]) -> list[Array]:
-    """Return the rate at the start of each of the first windows, for each of its samples."""
-    t = (record.t_ns - START_NS) * 1e-9
-    at = (record.ticks_ns[: len(measured)] - START_NS) * 1e-9
-    x0 = np.stack([np.interp(at, t, column) for column in record.rates.T], axis=1)
-    return [np.tile(x, (len(m), 1)) for x, m in zip(x0, measured, strict=True)]
 
 
 def test_windows_of_the_score_of_record_have_the_counts_of_the_contract() -> None:

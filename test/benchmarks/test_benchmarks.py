@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The benchmarks: output-error fits, adaptive filters, flights, mutated files, sample path."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import adaptive_filters
 import cases
@@ -36,12 +36,8 @@ def flight() -> Flight:
     return plant_flight(40.0, segments=(Segment("multisine", amplitudes=AMPLITUDES, seed=1),))
 
 
-def case_of(flight: Flight, **sensors: Any) -> cases.Case:
-    return cases.measured(measure(flight, Sensors(**sensors), seed=1))
-
-
 def test_output_error_recovers_the_true_coefficients_without_noise(flight: Flight) -> None:
-    case = case_of(flight)
+    case = cases.measured(measure(flight, Sensors(), seed=1))
     truth = cases.truth_in(STRUCTURE, flight)
     found = output_error.fit(case, case.settings(PAPER), [0.6 * truth])
     mask = STRUCTURE.mask
@@ -51,7 +47,8 @@ def test_output_error_recovers_the_true_coefficients_without_noise(flight: Fligh
 
 
 def test_recursive_least_squares_recovers_the_dominant_coefficients(flight: Flight) -> None:
-    track, recorder = adaptive_filters.recorded(case_of(flight, gyro_noise=0.002), PAPER)
+    case = cases.measured(measure(flight, Sensors(gyro_noise=0.002), seed=1))
+    track, recorder = adaptive_filters.recorded(case, PAPER)
     found = adaptive_filters.run_filter("RLS", adaptive_filters.RLS_FORGETTING, recorder)
     assert 0.9 * len(track.t_ns) < len(found) <= len(track.t_ns)
     for name in cases.DOMINANT:
@@ -87,9 +84,7 @@ def test_every_flight_definition_has_a_plan_and_a_consistent_rate(name: str) -> 
     assert plan.rate % flights.sensors_of(own).rate == 0.0
 
 
-def test_a_loaded_flight_is_cached_unchanged_for_each_seed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flights_are_cached_by_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flights, "CACHE", tmp_path)
     monkeypatch.setattr(flights, "WORTH_KEEPING", 0.0)
     first = flights.load("exact_convergence")
@@ -113,22 +108,20 @@ def test_the_cache_key_depends_on_the_flight_and_not_on_the_sensors() -> None:
 EXCITATION = Segment("multisine", amplitudes={"de": 0.03, "dr": 0.04, "da": 0.03})
 
 
-def derivatives(flight: Flight) -> dict[str, float]:
-    """Regress the noise-free accelerations and forces."""
+def test_the_aircraft_has_its_declared_derivatives() -> None:
+    """Found by regression of the noise-free accelerations and forces."""
+    flight = LightFlight((EXCITATION,), 40.0).fly()
     p, q, r = flight.rates.T
     columns = {name: flight.extra[name] for name in ("beta", "alpha")}
     columns |= dict(zip(INPUTS, flight.extra["surfaces"].T, strict=True))
     columns |= {"p": p, "q": q, "r": r, "qr": q * r, "pr": p * r, "pq": p * q, "1": 1.0 + 0.0 * p}
     signals = np.column_stack([flight.angular_acceleration, flight.specific_force[:, 1:]])
     values = np.linalg.lstsq(np.column_stack([*columns.values()]), signals, rcond=None)[0]
-    rows = ("pdot", "qdot", "rdot", "ay", "az")
-    return {f"{row}/{x}": values[k, i] for i, row in enumerate(rows) for k, x in enumerate(columns)}
-
-
-def test_the_aircraft_has_its_declared_derivatives() -> None:
-    found = derivatives(LightFlight((EXCITATION,), 40.0).fly())
+    rows, places = ("pdot", "qdot", "rdot", "ay", "az"), [*columns]
     for name, value in TRUTH.items():
-        assert found[name] == pytest.approx(value, rel=0.1, abs=0.1), name
+        row, column = name.split("/")
+        found = values[places.index(column), rows.index(row)]
+        assert found == pytest.approx(value, rel=0.1, abs=0.1), name
 
 
 def test_the_path_of_a_sample_starts_at_the_feed_and_passes_the_stages(
@@ -154,16 +147,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 @pytest.mark.parametrize("kind", COUNTS)
-def test_mutated_files_cause_no_crash(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
+def test_undamaged_files_read_in_full_and_mutated_ones_cause_no_crash(
+    kind: str, whole: dict[str, Path], tmp_path: Path
+) -> None:
+    read = fuzz.read_bag if kind.startswith("mcap") else fuzz.read_log
+    assert read(Path(shutil.copy(whole[kind], tmp_path))) == ("whole", "")
     outcomes = [fuzz.judge((kind, str(whole[kind]), s, str(tmp_path))) for s in range(COUNTS[kind])]
     failed = [outcome.printed for outcome in outcomes if outcome.result == "FAILED"]
     assert not failed, failed[0]
     assert {outcome.result for outcome in outcomes} <= {"whole", "with a loss", "refused"}
-
-
-@pytest.mark.parametrize("kind", COUNTS)
-def test_undamaged_files_read_in_full(kind: str, whole: dict[str, Path], tmp_path: Path) -> None:
-    copy = tmp_path / whole[kind].name
-    copy.write_bytes(whole[kind].read_bytes())
-    read = fuzz.read_bag if kind.startswith("mcap") else fuzz.read_log
-    assert read(copy) == ("whole", "")

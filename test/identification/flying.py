@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated flights, their measurements, and runs of the identifier on them."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import EXCITATION
 from uav_ident_ros.identification.sampling import Block
 from uav_ident_ros.identification.settings import Settings
-from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
+from uav_ident_ros.identification.structure import STRUCTURES, FloatArray, Structure
 from uav_ident_ros.offline.inputs import choose_inputs
 from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.simulation.flight import Flight
@@ -129,15 +129,29 @@ def messages(measurements: Measurements) -> list[SentSample]:
     return list(measurements.messages())
 
 
+def integrated(
+    structure: Structure, t: FloatArray, u: FloatArray, coefficients: Callable[[float], FloatArray]
+) -> FloatArray:
+    """Rates from rest, with inputs held and coefficients constant from each time on."""
+    x, h = np.zeros((len(t), 3)), (t[1] - t[0]) / 4
+    for k in range(len(t) - 1):
+        x[k + 1], a = x[k], coefficients(float(t[k]))
+        for _ in range(4):  # midpoint rule
+            middle = x[k + 1] + 0.5 * h * (a @ structure.regressor(x[k + 1], u[k]))
+            x[k + 1] += h * (a @ structure.regressor(middle, u[k]))
+    return x
+
+
+def sent(stream: str, t_ns: Iterable[int], values: FloatArray) -> list[SentSample]:
+    """Messages of one stream."""
+    return [SentSample(t, stream, t, tuple(v)) for t, v in zip(t_ns, values.tolist(), strict=True)]
+
+
 def with_injected(measurements: Measurements, after: float = 0.0) -> list[SentSample]:
     """All messages, from `after`, s, on with those of the injected signals."""
-    injected = measurements.flight.injected.tolist()
     first, stamps = int(measurements.imu_t_ns[0]), measurements.actuator_t_ns.tolist()
-    added = [
-        SentSample(t, EXCITATION, t, tuple(values))
-        for t, values in zip(stamps, injected, strict=True)
-        if (t - first) * 1e-9 >= after
-    ]
+    injected = sent(EXCITATION, stamps, measurements.flight.injected)
+    added = [message for message in injected if (message.t_ns - first) * 1e-9 >= after]
     return sorted([*messages(measurements), *added], key=lambda message: message.arrival_ns)
 
 

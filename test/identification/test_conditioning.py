@@ -4,18 +4,9 @@
 from dataclasses import replace
 from typing import Any
 
+import flying
 import numpy as np
 import pytest
-from flying import (
-    identified,
-    light_measured,
-    linear_names,
-    messages,
-    plant_flight,
-    run,
-    settings,
-    worst_error,
-)
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
@@ -38,7 +29,7 @@ S = 1_000_000_000
 @pytest.fixture(scope="module")
 def calm_flight() -> Flight:
     """A flight without gusts at 1 kHz, from which every Imu rate is sampled."""
-    return plant_flight(20.0, force=ColouredNoise(0.3, 0.5), rate=1000.0, max_step=1e-3)
+    return flying.plant_flight(20.0, force=ColouredNoise(0.3, 0.5), rate=1000.0, max_step=1e-3)
 
 
 # -- gaps --------------------------------------------------------------------------------------
@@ -63,13 +54,13 @@ def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str, limit:
     back = 10_000 * S if "base" in lost else 0
     kept = [
         message._replace(t_ns=message.t_ns - back * (message.t_ns > start))
-        for message in messages(m)
+        for message in flying.messages(m)
         if not (start < message.t_ns < end and lost in (message.stream, "both"))
     ]
-    own = settings(m, estimator="least_squares", model__inertia=INERTIA)
-    estimates = run(OnlineIdentifier(own), kept)
+    own = flying.settings(m, estimator="least_squares", model__inertia=INERTIA)
+    estimates = flying.run(OnlineIdentifier(own), kept)
     t = np.array([e.t_ns + back * (e.t_ns < start - 100 * S) for e in estimates])
-    columns = [STRUCTURES["augmented"].index(name) for name in linear_names(calm_flight)]
+    columns = [STRUCTURES["augmented"].index(name) for name in flying.linear_names(calm_flight)]
     values = np.array([[e.coefficients[i] for i in columns] for e in estimates])
     before = values[np.searchsorted(t, start, side="right") - 1]
     after = values[(t > end) & (t < end + 5 * S)]
@@ -78,12 +69,6 @@ def test_a_gap_leaves_no_jump(calm_flight: Flight, gap: float, lost: str, limit:
 
 
 # -- memory ------------------------------------------------------------------------------------
-
-
-def buffered(identifier: OnlineIdentifier) -> int:
-    buffers = (identifier.sampler.rates, identifier.sampler.raw_inputs)
-    waiting = sum(len(buffer._waiting_t) + len(buffer.t) for buffer in buffers)
-    return waiting + identifier.intake.waiting
 
 
 PAPER = {
@@ -112,7 +97,9 @@ def test_memory_stays_bounded(feed: str, own: dict[str, Any], interval: int) -> 
             identifier.add_actuators(t, (0.0, 0.0, 0.0, 0.0))
         list(identifier.advance())
         if k % (1000 // interval) == 0:
-            sizes.append(buffered(identifier))
+            buffers = (identifier.sampler.rates, identifier.sampler.raw_inputs)
+            waiting = sum(len(buffer._waiting_t) + len(buffer.t) for buffer in buffers)
+            sizes.append(waiting + identifier.intake.waiting)
     assert max(sizes[15:]) < 600
     assert sizes[-1] <= max(sizes[10:20])
 
@@ -121,8 +108,8 @@ def test_memory_stays_bounded(feed: str, own: dict[str, Any], interval: int) -> 
 
 
 def test_the_rate_of_the_ticks_does_not_change_the_estimates() -> None:
-    m = light_measured(25.0, rate=200.0)
-    usual, slow = (identified(m, update_rate=rate)[1][-1] for rate in (20.0, 10.0))
+    m = flying.light_measured(25.0, rate=200.0)
+    usual, slow = (flying.identified(m, update_rate=rate)[1][-1] for rate in (20.0, 10.0))
     moved = np.abs(slow.coefficients - usual.coefficients)
     assert (moved <= 0.3 * usual.sigma).all()
     known = usual.sigma > 0.0
@@ -146,6 +133,6 @@ def test_sensors_and_channels_do_not_change_the_coefficients(
 ) -> None:
     """Without noise only the pairing of rates and inputs matters."""
     m = measure(replace(calm_flight, channel_set=CHANNEL_SETS[channels]), Sensors(**variant))
-    _, (*_, last) = identified(m, estimator="least_squares")
-    names = linear_names(calm_flight)
-    assert worst_error(last.coefficients, calm_flight, names, "augmented") < limit
+    _, (*_, last) = flying.identified(m, estimator="least_squares")
+    names = flying.linear_names(calm_flight)
+    assert flying.worst_error(last.coefficients, calm_flight, names, "augmented") < limit

@@ -3,35 +3,40 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
-from uav_ident_ros.identification.regression import Regression, RowSamples, layout
+from uav_ident_ros.identification.regression import Layout, Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Autoregression, Confirmation
 from uav_ident_ros.identification.structure import INPUT_COLUMNS, INPUTS, MAIN_COLUMNS, STRUCTURES
 
-LAYOUT = layout(STRUCTURES["augmented"])
+LAYOUT, FLOW = (layout(STRUCTURES[name]) for name in ("augmented", "flight_dynamics"))
 DT = 0.05
 BLOCK = 4
 """Samples that are added together."""
 MAX_AGE = 30.0
+ROLL, PITCH, YAW = range(3)
 ESTIMATED = np.zeros((3, 4))
 """Control derivatives, rad/s^2 per rad: aileron, elevator and rudder."""
-ESTIMATED[0, INPUTS.index("da")] = 40.0
-ESTIMATED[1, INPUTS.index("de")] = -25.0
-ESTIMATED[2, INPUTS.index("dr")] = -9.0
-ROLL, PITCH, YAW = range(3)
+ESTIMATED[ROLL, INPUTS.index("da")] = 40.0
+ESTIMATED[PITCH, INPUTS.index("de")] = -25.0
+ESTIMATED[YAW, INPUTS.index("dr")] = -9.0
+LINEAR = np.zeros((3, LAYOUT.size))
+LINEAR[:, INPUT_COLUMNS] = ESTIMATED
+BY_FORCE = FLOW.index[3, FLOW.surfaces[1, 3]]
+"""Column of the rudder in the row of the side force."""
+RUDDER = np.zeros((FLOW.rows, FLOW.size))
+"""Estimate of a rudder whose moment is nearly all by its side force, in SI units."""
+RUDDER[YAW, MAIN_COLUMNS[YAW]], RUDDER[3, BY_FORCE] = -2.0, 5.0
 
 
 class Flight:
     """Ticks with moving surfaces, in slow, strong gusts."""
 
-    def __init__(self, seed: int = 1) -> None:
-        self.confirmed = Confirmation(LAYOUT)
-        self._noise = Autoregression(3)
-        self.max_age = MAX_AGE
-        self.answers = np.zeros(3, dtype=bool)
-        self._rng = np.random.default_rng(seed)
-        self._gust = np.zeros(3)
-        self._u = np.zeros(4)
+    def __init__(self, seed: int = 1, places: Layout = LAYOUT, linear: np.ndarray = LINEAR) -> None:
+        self.confirmed, self._noise = Confirmation(places), Autoregression(places.rows)
+        self._places, self._linear = places, linear
+        self.max_age, self.answers = MAX_AGE, np.zeros(3, dtype=bool)
+        self._rng, self._gust, self._u = np.random.default_rng(seed), np.zeros(3), np.zeros(4)
         self.restarted = True
 
     def fly(
@@ -49,26 +54,41 @@ class Flight:
         for k in range(count):
             self._gust = gusts[k] = 0.9 * self._gust + gust * self._rng.normal(size=3)
             self._u = u[k] = 0.8 * self._u + 0.03 * moved * self._rng.normal(size=4)
-        self.add(u, u @ actual.T + gusts, u @ ESTIMATED.T)
+        self.add(u, u @ actual.T + gusts)
 
-    def add(self, u: np.ndarray, measured: np.ndarray, estimated: np.ndarray) -> None:
+    def fly_by_rudder(self, seconds: float, moment: float, force: float) -> str:
+        """Fly with these shares of the rudder's effects; return the doubt about rdot.
+
+        The side force shows it three times as well as the moment.
+        """
+        actual, count = self._linear.copy(), round(seconds / DT)
+        actual[YAW] *= moment
+        actual[3] *= force
+        before, moved = self._u[1], self._rng.normal(size=count)
+        u, _ = lfilter([0.03], [1.0, -0.8], moved, zi=[0.8 * before])
+        f, self._u[1] = np.zeros((count, self._places.size)), u[-1]
+        f[:, MAIN_COLUMNS[YAW]], f[:, BY_FORCE] = u, np.diff(u, prepend=before) / DT
+        noise = self._rng.normal(size=(count, self._places.rows)) * (0.1, 0.1, 0.1, 0.5, 0.5)
+        self._look(f, f @ actual.T + noise, f @ self._linear.T)
+        return self.confirmed.doubt(YAW)
+
+    def add(self, u: np.ndarray, measured: np.ndarray, estimated: np.ndarray | None = None) -> None:
         """Add samples: inputs (N, 4), measured and estimated acceleration (N, 3), rad/s^2."""
-        f = np.zeros((len(u), 15))
+        f = np.zeros((len(u), self._places.size))
         f[:, INPUT_COLUMNS] = u
-        for k in range(0, len(u), BLOCK):
+        self._look(f, measured, f @ self._linear.T if estimated is None else estimated)
+
+    def _look(self, f: np.ndarray, measured: np.ndarray, estimated: np.ndarray) -> None:
+        for k in range(0, len(f), BLOCK):
             own = slice(k, k + BLOCK)
             samples = Regression.of(measured[own], f[own], f[own], DT)
-            self._add(RowSamples.of(samples, (measured - estimated)[own], LAYOUT))
-
-    def _add(self, samples: RowSamples) -> None:
-        white = RowSamples(self._noise.whiten(samples.signals, DT, restarted=self.restarted), DT)
-        coefficients = np.zeros((3, LAYOUT.size))
-        coefficients[:, INPUT_COLUMNS] = ESTIMATED
-        variance = self._noise.variance
-        self.confirmed.add(
-            white, coefficients, variance, self.max_age, self.answers, restarted=self.restarted
-        )
-        self.restarted = False
+            rows = RowSamples.of(samples, (measured - estimated)[own], self._places)
+            white = self._noise.whiten(rows.signals, DT, restarted=self.restarted)
+            self.confirmed.add(
+                RowSamples(white, DT), self._linear, self._noise.variance, self.max_age,
+                self.answers, restarted=self.restarted,
+            )  # fmt: skip
+            self.restarted = False
 
     def doubts(self) -> list[str]:
         return [self.confirmed.doubt(row) for row in range(3)]
@@ -133,9 +153,7 @@ def test_an_effect_nearer_to_half_or_to_twice_is_contradicted(effect: float, rem
 
 
 @pytest.mark.parametrize(("scale", "contradicted"), [(1.0, False), (2.0, True)])
-def test_twice_the_row_is_contradicted_where_damping_balances_the_surface(
-    scale: float, contradicted: bool
-) -> None:
+def test_twice_the_row_is_contradicted_beside_damping(scale: float, contradicted: bool) -> None:
     """The moment is that of the last changes of the aileron alone."""
     rng, flight, flown = np.random.default_rng(1), Flight(), []
     aileron, gust, u, damped = np.eye(4)[INPUTS.index("da")], np.zeros(3), np.zeros(4), np.zeros(4)
@@ -213,65 +231,32 @@ def test_answers_to_gusts_within_a_sample_contradict_no_healthy_surface(spread: 
         now = u, gust
         u, w = ((1.0 - spread) * new + spread * old for new, old in zip(now, before, strict=True))
         before = now
-        flight.add(u[None], (ESTIMATED @ u + w)[None], (ESTIMATED @ u)[None])
+        flight.add(u[None], (ESTIMATED @ u + w)[None])
         learned = k * DT > 10.0  # both models of the past
         assert not (learned and any("contradicted" in doubt for doubt in flight.doubts()))
     assert flight.doubts() == ["", "", ""]
 
 
-FLOW = layout(STRUCTURES["flight_dynamics"])
-BY_FORCE = FLOW.index[3, FLOW.surfaces[1, 3]]
-"""Column of the rudder in the row of the side force."""
-RUDDER = np.zeros((FLOW.rows, FLOW.size))
-"""Estimate of a rudder whose moment is nearly all by its side force, in SI units."""
-RUDDER[YAW, MAIN_COLUMNS[YAW]], RUDDER[3, BY_FORCE] = -2.0, 5.0
-
-
-class RudderFlight:
-    """Flight with a moving rudder; the side force shows it three times as well as the moment."""
-
-    def __init__(self) -> None:
-        self.confirmed, self._noise = Confirmation(FLOW), Autoregression(FLOW.rows)
-        self._rng, self._u = np.random.default_rng(1), 0.0
-        self._restarted = True
-        self.confirmed.forget_contradictions(np.zeros(4, dtype=bool))  # All effects are known.
-
-    def fly(self, seconds: float, moment: float, force: float) -> str:
-        """Fly with these shares of the estimated effects; return the doubt about rdot."""
-        actual = RUDDER.copy()
-        actual[YAW] *= moment
-        actual[3] *= force
-        for _ in range(round(seconds / (BLOCK * DT))):
-            f = np.zeros((BLOCK, FLOW.size))
-            for k in range(BLOCK):
-                before, self._u = self._u, 0.8 * self._u + 0.03 * self._rng.normal()
-                f[k, MAIN_COLUMNS[YAW]], f[k, BY_FORCE] = self._u, (self._u - before) / DT
-            noise = self._rng.normal(size=(BLOCK, FLOW.rows)) * (0.1, 0.1, 0.1, 0.5, 0.5)
-            samples = Regression.of(f @ actual.T + noise, f, f, DT)
-            rows = RowSamples.of(samples, samples.residual(RUDDER), FLOW)
-            white = self._noise.whiten(rows.signals, DT, restarted=self._restarted)
-            self.confirmed.add(
-                RowSamples(white, DT), RUDDER, self._noise.variance, MAX_AGE,
-                np.zeros(3, dtype=bool), restarted=self._restarted,
-            )  # fmt: skip
-            self._restarted = False
-        return self.confirmed.doubt(YAW)
+def by_rudder() -> Flight:
+    flight = Flight(places=FLOW, linear=RUDDER)
+    flight.confirmed.forget_contradictions(np.zeros(4, dtype=bool))  # All effects are known.
+    return flight
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_the_side_force_contradicts_a_rudder_sooner_than_its_moment(share: float) -> None:
-    flight = RudderFlight()
-    assert flight.fly(30.0, 1.0, 1.0) == ""
-    assert "contradicted" not in flight.fly(2.0, share, 1.0)
-    assert flight.fly(20.0, 1.0, 1.0) == ""
+    flight = by_rudder()
+    assert flight.fly_by_rudder(30.0, 1.0, 1.0) == ""
+    assert "contradicted" not in flight.fly_by_rudder(2.0, share, 1.0)
+    assert flight.fly_by_rudder(20.0, 1.0, 1.0) == ""
     remark = "half of it explains rdot better" if share else "rdot does not follow dr"
     expected = f"rdot/dr is contradicted: {remark}; check the surface"
-    assert flight.fly(2.0, share, share) == expected
+    assert flight.fly_by_rudder(2.0, share, share) == expected
 
 
 def test_the_side_force_confirms_no_moment() -> None:
-    flight = RudderFlight()
-    assert flight.fly(60.0, 0.0, 1.0).startswith("rdot/dr is contradicted: rdot does not follow dr")
+    doubt = by_rudder().fly_by_rudder(60.0, 0.0, 1.0)
+    assert doubt.startswith("rdot/dr is contradicted: rdot does not follow dr")
 
 
 TURN, REST = 3.0, 15.0
@@ -321,9 +306,7 @@ def test_only_the_row_that_is_learned_anew_loses_its_confirmation() -> None:
 
 
 @pytest.mark.parametrize("effect", [1.0, 0.33])
-def test_a_steady_deflection_confirms_nothing_once_the_constant_is_learned_anew(
-    effect: float,
-) -> None:
+def test_a_steady_deflection_confirms_nothing_beside_an_unknown_constant(effect: float) -> None:
     """The constant cancels what a weak surface leaves: the residual is noise, whatever is left."""
     flight, rng, count = in_turns(), np.random.default_rng(1), round(20.0 / DT)
     flight.confirmed.forget(PITCH)
@@ -332,7 +315,7 @@ def test_a_steady_deflection_confirms_nothing_once_the_constant_is_learned_anew(
     moment = u @ ESTIMATED.T
     moment[:, PITCH] = effect * (moment[:, PITCH] - moment[:, PITCH].mean())
     moment[:, PITCH] += (u @ ESTIMATED.T)[:, PITCH].mean()
-    flight.add(u, moment + noise, u @ ESTIMATED.T)
+    flight.add(u, moment + noise)
     assert flight.doubts()[PITCH].startswith("qdot/de is unconfirmed")
     assert flight.doubts()[YAW] == ""  # a known constant: half of the rudder would show
 
@@ -344,5 +327,5 @@ def test_a_steady_deflection_does_not_confirm_a_rudder_that_has_jammed(deflectio
     u = np.full((count, 4), deflection)
     jammed = u @ ESTIMATED.T
     u += 0.002 * rng.normal(size=u.shape)  # answers of an autopilot
-    flight.add(u, jammed + 0.5 * rng.normal(size=(count, 3)), u @ ESTIMATED.T)
+    flight.add(u, jammed + 0.5 * rng.normal(size=(count, 3)))
     assert flight.doubts()[YAW].startswith("rdot/dr is unconfirmed")

@@ -144,9 +144,7 @@ def test_a_second_estimator_learns_every_second(dt: float) -> None:
 
 
 @pytest.mark.parametrize(("correlation", "named"), [(0.0, False), (0.965, False), (0.975, True)])
-def test_inputs_that_correlate_by_more_than_97_percent_are_named(
-    correlation: float, named: bool
-) -> None:
+def test_inputs_that_correlate_by_97_percent_are_named(correlation: float, named: bool) -> None:
     """As by an interconnect; the smaller eigenvalue of the correlations is 1 minus it."""
     structure, chance = STRUCTURES["augmented"], np.random.default_rng(1)
     f = chance.normal(size=(20_000, structure.size))

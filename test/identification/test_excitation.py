@@ -45,9 +45,7 @@ def gate() -> ExcitationGate:
     return gate
 
 
-def test_a_rows_weight_falls_in_quiet_flight_and_returns_with_excitation(
-    gate: ExcitationGate,
-) -> None:
+def test_a_rows_weight_falls_in_quiet_flight_and_returns_after_it(gate: ExcitationGate) -> None:
     weights = flown(gate, 10.0, 0.005)
     assert weights[5] == 1.0  # the window still contains the excitation
     assert 0.0 < max(weights[31:]) < 0.02  # 3 s later the window is quiet

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flying import identified, light_errors, light_measured, since, stiff_autopilot
+from scipy.signal import lfilter
 
 from uav_ident_ros.identification.estimators.information import Information
-from uav_ident_ros.identification.prior import first_values, start_from
+from uav_ident_ros.identification.prior import Start, start_from
 from uav_ident_ros.identification.regression import Regression, RowSamples, layout
 from uav_ident_ros.identification.residuals import Feedback
 from uav_ident_ros.identification.settings import Settings
@@ -27,13 +28,12 @@ def fly(
     """Return samples of a roll in gusts that the aileron answers a tick later, and the gusts."""
     rng = np.random.default_rng(seed)
     n = round(seconds / DT)
-    f, gusts, answer = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows)), 0.0
-    keep = np.exp(-DT / GUST_TIME)
-    for k in range(n):
-        gusts[k, 0] = keep * gusts[k - 1, 0] + np.sqrt(1 - keep**2) * rng.normal()
-        f[k, P] = 0.1 * rng.normal()
-        f[k, AILERON] = excitation * np.sin(0.3 * k * DT * np.arange(1, 9)).sum() - gain * answer
-        answer = gusts[k, 0]
+    f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
+    keep, chance = np.exp(-DT / GUST_TIME), rng.normal(size=(n, 2))
+    gusts[:, 0] = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], chance[:, 0])
+    f[:, P] = 0.1 * chance[:, 1]
+    waves = np.sin(0.3 * DT * np.outer(np.arange(n), np.arange(1, 9))).sum(axis=1)
+    f[:, AILERON] = excitation * waves - gain * np.append(0.0, gusts[:-1, 0])
     y = np.zeros((n, LAYOUT.rows))
     y[:, 0] = -5.0 * f[:, P] + TRUE * f[:, AILERON] + gusts[:, 0]
     return Regression.of(y, f, f, DT), gusts
@@ -47,11 +47,6 @@ def detect_feedback(samples: Regression, residual: np.ndarray, effect: float = 0
         one = replace(samples, signals=samples.signals[part])
         detected.add(one, residual[part, :3], np.ones(3), known)
     return detected
-
-
-def shares(samples: Regression, residual: np.ndarray) -> np.ndarray:
-    """Shares of the inputs that are certain answers, (4,)."""
-    return detect_feedback(samples, residual).share
 
 
 EXCITED = 0.01**2 * 8 / 2
@@ -72,7 +67,7 @@ def test_the_share_is_that_of_the_answers_in_the_ailerons_variance(
     gain: float, excitation: float, share: float, tolerance: float, seed: int
 ) -> None:
     """It is zero for inputs that do not move."""
-    found = shares(*fly(gain, excitation, seed=seed))
+    found = detect_feedback(*fly(gain, excitation, seed=seed)).share
     assert found[2] == pytest.approx(share, abs=tolerance)
     assert found[[0, 1, 3]].tolist() == [0.0, 0.0, 0.0]
 
@@ -87,32 +82,29 @@ def test_a_correlation_by_chance_is_a_possible_answer_without_a_share() -> None:
     assert not detected.answering[:, 2].any()
 
 
-def in_turns(seed: int, column: int) -> tuple[Regression, np.ndarray]:
-    """Return 20 s of steps of one input, in gusts as slow as the steps, without feedback."""
-    rng = np.random.default_rng(seed)
-    n, keep = round(20.0 / DT), np.exp(-DT / 1.5)
-    f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
-    f[:, column] = 0.1 * np.resize(np.repeat([1.0, -1.0, 1.0, -1.0], [60, 40, 20, 20]), n)
-    f[140:200, column] = f[350:, column] = 0.0
-    for k in range(1, n):
-        gusts[k, :3] = keep * gusts[k - 1, :3] + np.sqrt(1 - keep**2) * rng.normal(size=3)
-    return Regression.of(np.zeros((n, LAYOUT.rows)), f, f, DT), gusts
+@pytest.mark.parametrize(
+    ("column", "effect", "may_answer"),
+    [(AILERON, 10.0, True), (AILERON, 40.0, False), (INPUT_COLUMNS.stop - 1, 0.0, False)],
+    ids=["a weak aileron", "an effective one", "the throttle"],
+)
+def test_steps_of_an_effective_input_or_the_throttle_in_slow_gusts_are_no_answers(
+    column: int, effect: float, may_answer: bool
+) -> None:
+    """Past residuals explain much of a few steps by chance; a weak input may be an answer.
 
-
-SLOW_FLIGHTS = range(1, 9)
-
-
-def test_steps_of_an_effective_input_in_slow_gusts_are_no_answers() -> None:
-    """Past residuals explain much of a few steps by chance; a weak input may be an answer."""
-    flights = [in_turns(seed, AILERON) for seed in SLOW_FLIGHTS]
-    assert any(detect_feedback(*flight, effect=10.0).share[2] for flight in flights)
-    assert not any(detect_feedback(*flight, effect=40.0).share[2] for flight in flights)
-
-
-def test_slow_gusts_leave_throttle_steps_without_a_share() -> None:
-    """No rate loop moves the throttle, and no row gives its effect."""
-    throttle = INPUT_COLUMNS.stop - 1
-    assert not any(detect_feedback(*in_turns(seed, throttle)).share[3] for seed in SLOW_FLIGHTS)
+    No rate loop moves the throttle, and no row gives its effect.
+    """
+    n, keep, found = round(20.0 / DT), np.exp(-DT / 1.5), []
+    for seed in range(1, 9):
+        rng = np.random.default_rng(seed)
+        f, gusts = np.zeros((n, LAYOUT.size)), np.zeros((n, LAYOUT.rows))
+        f[:, column] = 0.1 * np.resize(np.repeat([1.0, -1.0, 1.0, -1.0], [60, 40, 20, 20]), n)
+        f[140:200, column] = f[350:, column] = 0.0
+        chance = rng.normal(size=(n - 1, 3))
+        gusts[1:, :3] = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], chance, axis=0)
+        samples = Regression.of(np.zeros((n, LAYOUT.rows)), f, f, DT)
+        found.append(detect_feedback(samples, gusts, effect).share[column - INPUT_COLUMNS.start])
+    assert any(found) == may_answer
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -126,11 +118,10 @@ def test_an_effective_input_with_excitation_and_answers_has_a_share(seed: int) -
 def test_an_effect_that_the_structure_does_not_have_is_no_answer(seed: int) -> None:
     """With an Imu turned in yaw the aileron pitches: the residual repeats its past."""
     samples, gusts = fly(0.0, 0.01, seed=seed)
-    residual, response, keep = 0.1 * gusts, 0.0, np.exp(-DT / 0.3)
-    residual[:, 1] = 0.1 * np.random.default_rng(seed).normal(size=len(gusts))
-    for k, aileron in enumerate(samples.f[:, AILERON].tolist()):
-        response = keep * response + (1.0 - keep) * aileron
-        residual[k, 1] += 10.0 * (aileron - response)
+    residual, keep, aileron = 0.1 * gusts, np.exp(-DT / 0.3), samples.f[:, AILERON]
+    response = lfilter([1.0 - keep], [1.0, -keep], aileron)
+    chance = np.random.default_rng(seed).normal(size=len(gusts))
+    residual[:, 1] = 0.1 * chance + 10.0 * (aileron - response)
     assert not detect_feedback(samples, residual, effect=TRUE).share.any()
 
 
@@ -141,38 +132,36 @@ def answers(*by: float) -> np.ndarray:
     return pairs[:, None] * np.array(by)[:, None, None]
 
 
+def start_with(**initial: float) -> Start:
+    """Return a start with these coefficients, as ``pdot_da``, known within a fifth."""
+    start = start_from(Settings())
+    values, sigma = start.values.copy(), start.sigma.copy()
+    for name, value in initial.items():
+        place = STRUCTURE.index(name.replace("_", "/"))
+        values[place], sigma[place] = value, 0.2 * abs(value)
+    return replace(start, values=values, sigma=sigma)
+
+
 def learned(
     samples: Regression,
     residual: np.ndarray,
     share: float,
-    initial: float = 0.0,
+    start: Start | None = None,
     *,
     sure: bool = True,
-    instruments: bool = False,
-) -> tuple[float, float]:
-    """Return pdot/da and its sigma for a share of the aileron; prior sigma 0.2 `initial`."""
-    start = start_from(Settings())
-    values, sigma = start.values.copy(), start.sigma.copy()
-    if initial:
-        values[PDOT_DA], sigma[PDOT_DA] = initial, 0.2 * initial
-    start = replace(start, values=values, sigma=sigma)
-    information = Information(STRUCTURE, start, 0.1, 0.0, (instruments,))
+    instruments: tuple[bool, ...] = (False,),
+) -> list[float]:
+    """Return pdot/da and its sigma by each set of samples, for a share of the aileron."""
+    start = start or start_with()
+    information = Information(STRUCTURE, start, 0.1, 0.0, instruments)
     rows, ratio = RowSamples.of(samples, residual, LAYOUT), share / (1.0 - share)
     answering = answers(ratio * sure, share, share * sure) if share else None
     for k in range(0, rows.count, 20):
         block = RowSamples(rows.signals[:, k : k + 20], DT)
-        information.add([block], np.ones(LAYOUT.rows), answering)
+        information.add([block] * len(instruments), np.ones(LAYOUT.rows), answering)
     solution = information.solve(start.values)
     _, found = information.spread(solution)
-    return float(solution.values[0][PDOT_DA]), float(found[0][PDOT_DA])
-
-
-def with_residual(samples: Regression, gusts: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the error of pdot/da without shares, and the residual with it, rad/s^2."""
-    error = learned(samples, gusts, 0.0)[0] - TRUE
-    residual = gusts.copy()
-    residual[:, 0] -= error * samples.f[:, AILERON]
-    return error, residual
+    return [float(a[PDOT_DA]) for a in (solution.values[0], *found)]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -183,8 +172,9 @@ def test_sigma_with_the_share_covers_the_bias_by_feedback(excitation: float, see
     With less excitation most of the gusts is in the estimate, not in the residual.
     """
     samples, gusts = fly(0.02, excitation, seed=seed)
-    share = shares(samples, gusts)[2]
-    error, residual = with_residual(samples, gusts)
+    share = detect_feedback(samples, gusts).share[2]
+    error, residual = learned(samples, gusts, 0.0)[0] - TRUE, gusts.copy()
+    residual[:, 0] -= error * samples.f[:, AILERON]
     _, without_share = learned(samples, residual, 0.0)
     _, sigma = learned(samples, residual, share)
     assert abs(error) > 4.0 * without_share
@@ -199,26 +189,22 @@ def weak(samples: Regression, noise: float) -> Regression:
 
 
 @pytest.mark.parametrize("initial", [0.0, 20.0])
-def test_with_poor_instruments_of_answers_sigma_is_the_priors_and_the_shift(
-    initial: float,
-) -> None:
+def test_with_poor_instruments_of_answers_sigma_is_the_priors_and_the_shift(initial: float) -> None:
     """The estimate may then contain all of the gusts."""
     samples, gusts = fly(0.02, 0.0)
-    value, sigma = learned(
-        weak(samples, 0.02), gusts, 0.9, initial, sure=not initial, instruments=True
-    )
-    before = 0.2 * initial if initial else start_from(Settings()).sigma[PDOT_DA]
-    assert sigma == pytest.approx(np.hypot(before, value - initial), rel=0.05)
+    start = start_with(pdot_da=initial) if initial else start_with()
+    poor, sure = weak(samples, 0.02), not initial
+    value, sigma = learned(poor, gusts, 0.9, start, sure=sure, instruments=(True,))
+    assert sigma == pytest.approx(np.hypot(start.sigma[PDOT_DA], value - initial), rel=0.05)
 
 
 @pytest.mark.parametrize(("noise", "increases"), [(0.0, False), (0.1, True)])
-def test_possible_answers_increase_sigma_only_with_a_poor_instrument(
-    noise: float, increases: bool
-) -> None:
+def test_possible_answers_count_only_with_a_poor_instrument(noise: float, increases: bool) -> None:
     """The poor instrument contains a hundredth of the aileron's power; the share is 10 %."""
     samples, gusts = fly(0.0, 0.005)
-    _, without_share = learned(weak(samples, noise), gusts, 0.0, instruments=True)
-    _, with_possible_share = learned(weak(samples, noise), gusts, 0.1, sure=False, instruments=True)
+    poor, by = weak(samples, noise), (True,)
+    _, without_share = learned(poor, gusts, 0.0, instruments=by)
+    _, with_possible_share = learned(poor, gusts, 0.1, sure=False, instruments=by)
     assert (with_possible_share > 1.5 * without_share) == increases
 
 
@@ -243,26 +229,13 @@ def test_the_elevator_is_learned_from_an_excitation_after_feedback() -> None:
 
 def test_feedback_does_not_increase_the_whitened_estimates_sigma() -> None:
     """The innovation of a gust precedes its answer, so that the whitened part is unbiased."""
-    samples, gusts = fly(0.02, 0.01)
-    information = Information(STRUCTURE, start_from(Settings()), 0.1, 0.0, (False, False))
-    rows = RowSamples.of(samples, gusts, LAYOUT)
-    answering = answers(1.0, 0.5, 0.5)
-    for k in range(0, rows.count, 20):
-        block = RowSamples(rows.signals[:, k : k + 20], DT)
-        information.add([block, block], np.ones(LAYOUT.rows), answering)
-    solution = information.solve(first_values(STRUCTURE))
-    _, (plain, white) = information.spread(solution)
-    assert plain[PDOT_DA] > 5.0 * white[PDOT_DA]
+    _, plain, white = learned(*fly(0.02, 0.01), 0.5, instruments=(False, False))
+    assert plain > 5.0 * white
 
 
 def test_the_side_force_does_not_increase_a_priors_sigma() -> None:
     """Before the first samples sigma is that of the prior."""
-    start = start_from(Settings())
-    values, sigma = start.values.copy(), start.sigma.copy()
-    for name, value in (("rdot/dr", -4.0), ("rdot/beta", 8.0)):
-        values[STRUCTURE.index(name)] = value
-        sigma[STRUCTURE.index(name)] = 0.2 * abs(value)
-    start = replace(start, values=values, sigma=sigma)
+    start = start_with(rdot_dr=-4.0, rdot_beta=8.0)
     information = Information(STRUCTURE, start, 0.1)
-    _, found = information.spread(information.solve(values))
+    _, found = information.spread(information.solve(start.values))
     assert found[0][STRUCTURE.index("rdot/dr")] == pytest.approx(0.8)

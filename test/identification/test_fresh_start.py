@@ -104,7 +104,7 @@ def test_a_custom_estimator_shared_by_both_estimates_learns_once() -> None:
 @pytest.mark.parametrize(
     ("t_ratio", "model_error", "known"), [(3.5, 0.0, True), (3.5, 1.0, True), (2.5, 0.0, False)]
 )
-def test_a_model_error_does_not_make_an_input_unknown(
+def test_model_errors_make_no_input_unknown(
     t_ratio: float, model_error: float, known: bool
 ) -> None:
     """An unmodelled servo lag is a model error and no reason to begin anew."""

@@ -33,9 +33,7 @@ def sigmas(rates: FloatArray, force: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("excited", [True, False], ids=["excited", "in gusts alone"])
 @pytest.mark.parametrize("signs", [(1, 1), (1, -1), (-1, 1), (-1, -1)], ids=str)
-def test_a_wrong_sign_of_pitch_or_yaw_rate_turns_its_force_round(
-    signs: tuple[int, int], excited: bool
-) -> None:
+def test_a_wrong_sign_of_a_rate_turns_its_force(signs: tuple[int, int], excited: bool) -> None:
     q, r = signs
     rates, force = level(excited)
     side, lift = sigmas(rates * [1, q, r], force)

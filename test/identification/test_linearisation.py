@@ -9,18 +9,12 @@ import pytest
 from equations import matrix
 from light_aircraft import SPEED, TRUTH
 
-from uav_ident_ros.identification.linearisation import (
-    Condition,
-    Mode,
-    level_modes,
-    linearise,
-    modes,
-)
+from uav_ident_ros.identification import linearisation
 from uav_ident_ros.identification.model import GRAVITY
 from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 
 FLIGHT = STRUCTURES["flight_dynamics"]
-LEVEL = Condition(SPEED)
+LEVEL = linearisation.Condition(SPEED)
 
 
 def aircraft(**changes: float) -> FloatArray:
@@ -29,9 +23,9 @@ def aircraft(**changes: float) -> FloatArray:
     return matrix(FLIGHT, TRUTH | named)
 
 
-def found(values: FloatArray, share: float = 0.0) -> dict[str, Mode]:
+def found(values: FloatArray, share: float = 0.0) -> dict[str, linearisation.Mode]:
     sigma = share * np.abs(values)
-    return {mode.name: mode for mode in level_modes(FLIGHT, values, sigma, SPEED)}
+    return {mode.name: mode for mode in linearisation.level_modes(FLIGHT, values, sigma, SPEED)}
 
 
 def test_the_modes_are_the_eigenvalues_of_the_equations_written_out() -> None:
@@ -60,23 +54,21 @@ def test_the_modes_are_the_eigenvalues_of_the_equations_written_out() -> None:
         assert math.isnan(own[name].frequency)
 
 
-def test_an_aircraft_without_pitch_stiffness_has_no_short_period() -> None:
-    own = modes(FLIGHT, aircraft(qdot_alpha=5.0), np.zeros(FLIGHT.mask.shape), LEVEL)
-    assert [mode.name for mode in own][:2] == ["longitudinal", "longitudinal"]
-    assert own[0].eigenvalue.real < own[1].eigenvalue.real
-
-
-def test_two_oscillations_are_called_lateral() -> None:
-    """Roll and spiral couple into a lateral phugoid."""
-    own = modes(FLIGHT, aircraft(pdot_p=-0.5, pdot_r=0.0), np.zeros(FLIGHT.mask.shape), LEVEL)
-    names = [mode.name for mode in own if mode.name != "short period"]
-    assert names == ["lateral"] * len(names)
-    assert len(names) == 2
-
-
-def sampled(mode: Mode) -> tuple[float, ...]:
-    value = mode.eigenvalue
-    return (value.real, value.imag, mode.frequency, mode.damping, mode.time_constant)
+@pytest.mark.parametrize(
+    ("changes", "name", "others"),
+    [
+        ({"qdot_alpha": 5.0}, "longitudinal", ["roll", "dutch roll", "spiral"]),
+        # roll and spiral couple into a lateral phugoid
+        ({"pdot_p": -0.5, "pdot_r": 0.0}, "lateral", ["short period"]),
+    ],
+)
+def test_modes_without_pitch_stiffness_or_roll_damping_have_other_names(
+    changes: dict[str, float], name: str, others: list[str]
+) -> None:
+    own = linearisation.modes(FLIGHT, aircraft(**changes), np.zeros(FLIGHT.mask.shape), LEVEL)
+    two = [mode.eigenvalue.real for mode in own if mode.name == name]
+    assert len(two) == 2 and two == sorted(two)
+    assert [mode.name for mode in own if mode.name != name] == others
 
 
 def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:
@@ -85,7 +77,9 @@ def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:
     draws: dict[str, list[Any]] = {name: [] for name in own}
     for _ in range(600):
         for name, mode in found(values * (1.0 + share * rng.normal(size=values.shape))).items():
-            draws[name].append(sampled(mode))
+            value = mode.eigenvalue
+            mean = (value.real, value.imag, mode.frequency, mode.damping, mode.time_constant)
+            draws[name].append(mean)
     for name, mode in own.items():
         assert len(draws[name]) == 600
         spread = np.std(draws[name], axis=0)
@@ -99,8 +93,8 @@ def test_the_standard_deviations_are_those_of_a_monte_carlo() -> None:
 def test_the_linearisation_in_a_turn_includes_the_rate_products() -> None:
     values = aircraft(pdot_qr=-0.7, qdot_pr=0.85, rdot_pq=-0.25)
     rates = (0.1, 0.3, -0.2)
-    a, _ = linearise(FLIGHT, values, Condition(SPEED, rates))
-    still, _ = linearise(FLIGHT, values, LEVEL)
+    a, _ = linearisation.linearise(FLIGHT, values, linearisation.Condition(SPEED, rates))
+    still, _ = linearisation.linearise(FLIGHT, values, LEVEL)
     p, q, r = rates
     expected = [[0.0, -0.7 * r, -0.7 * q], [0.85 * r, 0.0, 0.85 * p], [-0.25 * q, -0.25 * p, 0.0]]
     np.testing.assert_allclose((a - still)[:3, :3], expected, atol=1e-12)
@@ -110,7 +104,7 @@ def test_the_linearisation_in_a_turn_includes_the_rate_products() -> None:
 def test_without_flow_angles_there_are_three_states_and_no_modes(name: str) -> None:
     structure = STRUCTURES[name]
     values = matrix(structure, {"pdot/p": -4.0, "pdot/da": 20.0})
-    a, b = linearise(structure, values, LEVEL)
+    a, b = linearisation.linearise(structure, values, LEVEL)
     assert a.shape == (3, 3)
     assert (a[0, 0], b[0, 2]) == (-4.0, 20.0)
-    assert level_modes(structure, values, np.zeros_like(values), SPEED) == []
+    assert linearisation.level_modes(structure, values, np.zeros_like(values), SPEED) == []

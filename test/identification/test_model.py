@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from equations import AIRCRAFT, flown, matrix
+from equations import AIRCRAFT, flown, matrix, with_down
 from flying import blocks
 
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -21,19 +21,10 @@ from uav_ident_ros.identification.structure import STRUCTURES, FloatArray
 
 FLIGHT = STRUCTURES["flight_dynamics"]
 RNG = np.random.default_rng(2)
-
-
 SPEED = 18.0
 A = matrix(FLIGHT, AIRCRAFT | {"pdot/dth": 0.5, "qdot/pp": -0.1, "qdot/rr": 0.1, "rdot/qr": 0.2})
 START = np.array([0.3, -0.2, 0.1, 0.05, 0.04, 0.4, -0.1])
 """State: p, q, r, rad/s, beta, alpha, roll, pitch, rad."""
-
-
-def with_down(state: FloatArray) -> FloatArray:
-    """The model's own state, with the direction of down instead of roll and pitch."""
-    *first, roll, pitch = state
-    level = np.cos(pitch)
-    return np.array([*first, -np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level])
 
 
 def block_of(u: FloatArray, h: float) -> Block:

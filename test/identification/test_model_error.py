@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from flying import identified
+from scipy.signal import lfilter
 from verdict_flights import fly
 
 from uav_ident_ros.identification.estimators.model_error import LOADING, Losses, ModelError, _solved
@@ -80,31 +81,36 @@ def shares(
     samples: RowSamples,
     error_model: ModelError,
     ratio: np.ndarray = OPEN_LOOP,
-    settled: bool = True,
     effect: np.ndarray = KNOWN,
-    injected: bool = False,
+    *,
+    weight: np.ndarray = EVERYWHERE,
+    roll_ratio: float = 0.0,
+    linear: np.ndarray | None = None,  # Coefficients, if not those of `effect`
+    force_is_known: bool = False,
+    **state: bool,
 ) -> np.ndarray:
     """Return the model error after each two samples, (m / 2, 3)."""
-    found = []
+    found, linear = [], known(effect) if linear is None else linear
     for k in range(0, samples.count, 2):
         part = RowSamples(samples.signals[:, k : k + 2], samples.dt)
-        error_model.add(
-            part, EVERYWHERE, ratio, 0.0, known(effect), force_is_known=False,
-            restarted=k == 0, settled=settled, injected=injected,
-        )  # fmt: skip
+        given = {"force_is_known": force_is_known, "restarted": k == 0, **state}
+        error_model.add(part, weight, ratio, roll_ratio, linear, **given)
         found.append(error_model.share)
     return np.array(found)
 
 
-def share(samples: RowSamples, ratio: np.ndarray = OPEN_LOOP) -> np.ndarray:
-    """Return the model error at the end, (3,)."""
-    return np.asarray(shares(samples, ModelError(LAYOUT), ratio)[-1])
+def after(
+    samples: RowSamples, ratio: np.ndarray = OPEN_LOOP, places: Layout = LAYOUT, **more: Any
+) -> ModelError:
+    """Return the model error after the samples."""
+    error_model = ModelError(places)
+    shares(samples, error_model, ratio, **more)
+    return error_model
 
 
 def test_the_model_error_is_at_most_the_whole_effect() -> None:
     """The effect is unknown, and the prior holds it near zero."""
-    found = shares(rolled(0.015), ModelError(LAYOUT), effect=1e-30 * KNOWN)[-1]
-    assert found.tolist() == [1.0, 0.0, 0.0]
+    assert after(rolled(0.015), effect=1e-30 * KNOWN).share.tolist() == [1.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -118,7 +124,7 @@ def test_the_model_error_is_at_most_the_whole_effect() -> None:
 )
 def test_a_saturated_lagging_or_dead_aileron_has_a_model_error(flight: dict[str, float]) -> None:
     """Elevator and rudder do not move and have none."""
-    found = share(rolled(**flight))
+    found = after(rolled(**flight)).share
     assert found[0] > 0.1
     assert found[1:].tolist() == [0.0, 0.0]
 
@@ -128,7 +134,7 @@ def test_a_saturated_lagging_or_dead_aileron_has_a_model_error(flight: dict[str,
 )
 def test_a_saturation_counts_from_three_sigma_on(travel: float, noise: float, seed: int) -> None:
     """0.43 to 0.59 of the effect are lost, by 3.3 to 3.6 sigma, of which one is subtracted."""
-    assert 0.3 < share(rolled(travel=travel, noise=noise, seed=seed))[0] < 0.43
+    assert 0.3 < after(rolled(travel=travel, noise=noise, seed=seed)).share[0] < 0.43
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -162,27 +168,22 @@ def early(seconds: float = 60.0, noise: float = 0.3) -> tuple[RowSamples, float]
 
 def test_an_early_aileron_is_a_model_error_of_every_row() -> None:
     samples, ahead = early()
-    error_model = ModelError(LAYOUT)
-    assert shares(samples, error_model)[-1].tolist() == [0.0, 0.0, 0.0]  # no loss of effect
+    error_model = after(samples)
+    assert error_model.share.tolist() == [0.0, 0.0, 0.0]  # no loss of effect
     assert error_model.relative_error(KNOWN_ROWS, UNDAMPED) == pytest.approx([ahead] * 3, rel=0.1)
     # an aileron of unknown effect has no known earliness
-    assert error_model.relative_error(np.array([False, True, True]), UNDAMPED).tolist() == [
-        0.0,
-        0.0,
-        0.0,
-    ]
+    assert not error_model.relative_error(np.array([False, True, True]), UNDAMPED).any()
 
 
 def test_an_input_acts_at_its_command_at_the_soonest() -> None:
     """A rudder that is not early shows that the stamps are right."""
     (samples, _), healthy = early(noise=0.1), rolled(noise=0.1, seed=2)
-    error_model = ModelError(LAYOUT)
     rate, roll_rate = LAYOUT.place[YAW, :, 1] == YAW_RATE, LAYOUT.place[0, :, 1] == ROLL_RATE
     samples.y[YAW], samples.residual[YAW] = healthy.y[0], healthy.residual[0]
     for own, of_aileron in ((samples.f, healthy.f), (samples.z, healthy.z)):
         own[YAW][:, LAYOUT.main[YAW]] = of_aileron[0][:, LAYOUT.main[0]]
         own[YAW][:, rate] = of_aileron[0][:, roll_rate]
-    shares(samples, error_model, effect=np.array([EFFECT, -30.0, EFFECT]))
+    error_model = after(samples, effect=np.array([EFFECT, -30.0, EFFECT]))
     rows = np.array([True, False, True])
     found = float(error_model.relative_error(rows, UNDAMPED, 0.1)[0])
     assert found > 0.15
@@ -210,12 +211,9 @@ def test_healthy_inputs_of_a_quick_aircraft_are_usable_in_weak_excitation(
 
 
 @pytest.mark.parametrize("settled", [True, False])
-def test_an_early_input_at_the_start_is_cleared_by_enough_later_samples(
-    settled: bool,
-) -> None:
-    error_model = ModelError(LAYOUT)
+def test_an_early_input_at_the_start_is_cleared_by_enough_later_samples(settled: bool) -> None:
     samples, ahead = early(30.0, noise=0.03)
-    shares(samples, error_model, settled=False)
+    error_model = after(samples, settled=False)
     assert error_model.relative_error(KNOWN_ROWS, UNDAMPED) == pytest.approx([ahead] * 3, rel=0.1)
     shares(rolled(seconds=20.0), error_model, settled=settled)
     assert (error_model.relative_error(KNOWN_ROWS, UNDAMPED).max() < 0.01) == settled
@@ -224,10 +222,9 @@ def test_an_early_input_at_the_start_is_cleared_by_enough_later_samples(
 @pytest.mark.parametrize("noise", [0.3, 1.0, 1.5])
 def test_an_early_input_is_not_cleared_by_the_first_later_samples(noise: float) -> None:
     """Too few to show it by themselves, they do not refute it either."""
-    error_model = ModelError(LAYOUT)
     samples, _ = early(noise=noise)
     start, later = np.split(samples.signals, [round(40.0 / DT)], axis=1)
-    shares(RowSamples(start, DT), error_model, settled=False)
+    error_model = after(RowSamples(start, DT), settled=False)
     lowest = 1.0
     for second in np.split(later, 20, axis=1):
         shares(RowSamples(second, DT), error_model)
@@ -236,22 +233,18 @@ def test_an_early_input_is_not_cleared_by_the_first_later_samples(noise: float) 
 
 
 def test_the_model_error_stays_while_no_row_is_learned() -> None:
-    error_model = ModelError(LAYOUT)
-    found = shares(rolled(0.015, seconds=30.0), error_model)[-1]
-    quiet = rolled(seconds=2.0)
-    for _ in range(60):
-        error_model.add(
-            quiet, np.zeros(3), OPEN_LOOP, 0.0, known(), force_is_known=False, restarted=False
-        )
+    error_model = after(rolled(0.015, seconds=30.0))
+    found = error_model.share
+    assert found[0] > 0.1
+    shares(rolled(seconds=120.0), error_model, weight=np.zeros(3))
     assert error_model.share == pytest.approx(found)
-    assert error_model.share[0] > 0.1
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 1.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_aileron_without_lag_or_saturation_has_no_model_error(noise: float, seed: int) -> None:
-    error_model = ModelError(LAYOUT)
-    assert shares(rolled(noise=noise, seed=seed), error_model)[-1, 0] < 0.01
+    error_model = after(rolled(noise=noise, seed=seed))
+    assert error_model.share[0] < 0.01
     assert error_model.relative_error(KNOWN_ROWS, UNDAMPED)[0] < 0.06 * noise + 0.02
 
 
@@ -271,25 +264,12 @@ def by_side_force(
     f[:, RUDDER], f[:, places.index[3, entry]] = u, slopes[0]
     y[:, YAW] = 0.1 * rng.normal(size=len(u))
     y[:, 3] = 10.0 * slopes[1] + 0.3 * rng.normal(size=len(u))
-    coefficients = known(np.array([0.0, 0.0, -0.1]), places)
-    coefficients[3, places.index[3, entry]] = (
-        10.0 * (slopes[0] @ slopes[1]) / (slopes[0] @ slopes[0])
-    )
+    linear = known(np.array([0.0, 0.0, -0.1]), places)
+    share = (slopes[0] @ slopes[1]) / (slopes[0] @ slopes[0])
+    linear[3, places.index[3, entry]] = 10.0 * share
     samples = Regression.of(y, f, f, DT)
-    rows = RowSamples.of(samples, samples.residual(coefficients), places)
-    error_model = ModelError(places)
-    for k in range(0, rows.count, 2):
-        part = RowSamples(rows.signals[:, k : k + 2], DT)
-        error_model.add(
-            part,
-            EVERYWHERE,
-            OPEN_LOOP,
-            0.0,
-            coefficients,
-            force_is_known=is_known,
-            restarted=k == 0,
-        )
-    return error_model
+    rows = RowSamples.of(samples, samples.residual(linear), places)
+    return after(rows, places=places, linear=linear, force_is_known=is_known)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -302,34 +282,30 @@ def test_the_side_force_of_a_rudder_shows_its_saturation_and_backlash(seed: int)
     assert by_side_force(seed).lost.tolist() == pytest.approx([0.0, 0.0, 0.0], abs=0.03)
 
 
-@pytest.mark.parametrize("play", [0.02, 0.04])
+@pytest.mark.parametrize(
+    ("servo", "least", "times"),
+    [({"play": 0.02}, 0.1, 1.3), ({"play": 0.04}, 0.2, 1.3), ({"speed": 0.08}, 0.3, 3.0)],
+    ids=str,
+)
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_backlash_is_a_model_error_of_its_own(play: float, seed: int) -> None:
-    """It is found before it is significant; as lateness it would look smaller."""
-    error_model, healthy = ModelError(LAYOUT), ModelError(LAYOUT)
-    shares(rolled(play=play, noise=1.0, seed=seed), error_model)
-    shares(rolled(noise=1.0, seed=seed), healthy)
-    assert error_model.lost[0] > max(5.0 * play, 1.3 * float(error_model._late[0]))
-    assert error_model.lost[1:].tolist() == [0.0, 0.0]
-    assert healthy.lost[0] < 0.03
+def test_backlash_and_a_slow_servo_are_model_errors_of_their_own(
+    servo: dict[str, float], least: float, times: float, seed: int
+) -> None:
+    """They are found before they are significant; as lateness they would look smaller.
 
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_servo_that_is_too_slow_for_its_commands_is_a_model_error(seed: int) -> None:
-    """It turns at 0.08 rad/s, its commands at 0.12 rms. As lateness it would look smaller."""
-    error_model, healthy = ModelError(LAYOUT), ModelError(LAYOUT)
-    shares(rolled(speed=0.08, noise=1.0, seed=seed), error_model)
-    shares(rolled(noise=1.0, seed=seed), healthy)
-    assert error_model.lost[0] > max(0.3, 3.0 * float(error_model._late[0]))
-    assert error_model.lost[1:].tolist() == [0.0, 0.0]
+    The servo turns at 0.08 rad/s, its commands at 0.12 rms.
+    """
+    found, healthy = (after(rolled(noise=1.0, seed=seed, **own)) for own in (servo, {}))
+    assert found.lost[0] > max(least, times * float(found._late[0]))
+    assert found.lost[1:].tolist() == [0.0, 0.0]
     assert healthy.lost[0] < 0.03
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_late_aileron_counts_before_it_is_significant(seed: int) -> None:
     """The noise hides a lag of 0.12 s for a minute."""
-    error_model = ModelError(LAYOUT)
-    assert not shares(rolled(lag=0.12, noise=5.0, seed=seed), error_model)[-1].any()
+    error_model = after(rolled(lag=0.12, noise=5.0, seed=seed))
+    assert not error_model.share.any()
     late = error_model.relative_error(~KNOWN_ROWS, UNDAMPED)
     assert late[0] > 0.1
     assert late[1:].tolist() == [0.0, 0.0]
@@ -368,8 +344,8 @@ def half(error_model: ModelError, seconds: float, **flight: Any) -> float:
 
 
 def test_a_row_that_is_learned_anew_keeps_its_model_error_until_the_flight_shows_it() -> None:
-    error_model = ModelError(LAYOUT)
-    before = shares(rolled(0.02), error_model)[-1, 0]
+    error_model = after(rolled(0.02))
+    before = error_model.share[0]
     error_model.begin_anew(0)
     assert half(error_model, 2.0) == before > 0.3
     half(error_model, 10.0)
@@ -379,100 +355,74 @@ def test_a_row_that_is_learned_anew_keeps_its_model_error_until_the_flight_shows
 @pytest.mark.parametrize("seed", range(1, 6))
 def test_noise_makes_no_input_late_in_a_row_that_is_learned_anew(seed: int) -> None:
     """Five seconds alone make it late by 5 to 71 % of its effect."""
-    error_model = ModelError(LAYOUT)
-    shares(rolled(noise=2.0, seed=seed), error_model)
+    error_model = after(rolled(noise=2.0, seed=seed))
     error_model.begin_anew(0)
     assert half(error_model, 5.0, noise=2.0, seed=seed + 10) < 0.06
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_servo_that_slows_down_as_its_surface_fails_is_found(seed: int) -> None:
-    error_model = ModelError(LAYOUT)
-    shares(rolled(noise=0.3, seed=seed), error_model)
+    error_model = after(rolled(noise=0.3, seed=seed))
     error_model.begin_anew(0)
     assert half(error_model, 30.0, lag=0.15, seed=seed) > 0.1
+
+
+def correlated(keep: float, noise: np.ndarray) -> np.ndarray:
+    """Noise with a memory, 0 at first."""
+    return np.asarray(np.append(0.0, lfilter([1.0], [1.0, -keep], noise)))
+
+
+HALF = np.array([0.5, 0.0, 0.0])
+"""Share of the aileron's motion that answers gusts, relative to the rest."""
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_aileron_that_answers_gusts_has_no_model_error(seed: int) -> None:
     """Feedback resembles a late input: the aileron follows the gust that it correlates with."""
-    rng = np.random.default_rng(seed)
-    n = round(60.0 / DT)
-    gusts, u = np.zeros(n), np.zeros(n)
-    for k in range(1, n):
-        gusts[k] = 0.9 * gusts[k - 1] + rng.normal()
-        u[k] = 0.8 * u[k - 1] - 0.01 * gusts[k] + 0.01 * rng.normal()
+    chance = np.random.default_rng(seed).normal(size=(round(60.0 / DT) - 1, 2)).T
+    gusts = correlated(0.9, chance[0])
+    u = correlated(0.8, 0.01 * (chance[1] - gusts[1:]))
     samples = by_aileron(u, EFFECT * u + gusts, residual=gusts)
-    assert share(samples)[0] > 0.1
-    error_model, feedback = ModelError(LAYOUT), np.array([0.5, 0.0, 0.0])
-    shares(samples, error_model, feedback)
-    assert error_model.relative_error(KNOWN_ROWS, UNDAMPED).tolist() == [0.0, 0.0, 0.0]
+    assert after(samples).share[0] > 0.1
+    assert not after(samples, HALF).relative_error(KNOWN_ROWS, UNDAMPED).any()
 
 
 @pytest.mark.parametrize("seed", [1, 3])
 def test_small_deflections_that_answer_gusts_are_no_dead_band(seed: int) -> None:
     """Large deflections follow a reference: the effect seems to grow with the deflection."""
     rng = np.random.default_rng(seed)
-    gusts = np.zeros(round(60.0 / DT))
-    for k in range(1, len(gusts)):
-        gusts[k] = 0.9 * gusts[k - 1] + rng.normal()
+    gusts = correlated(0.9, rng.normal(size=round(60.0 / DT) - 1))
     steps = np.where(rng.uniform(size=60) < 0.9, 0.0, 1.0) * rng.choice([-0.3, 0.3], 60)
     u = np.repeat(steps, 20) - 0.01 * gusts + 0.002 * rng.normal(size=len(gusts))
     samples = by_aileron(u, EFFECT * u + gusts, residual=gusts)
-    assert share(samples)[0] == 1.0
-    assert share(samples, np.array([0.5, 0.0, 0.0]))[0] == 0.0
+    assert after(samples).share[0] == 1.0
+    assert after(samples, HALF).share[0] == 0.0
 
 
 def test_gusts_make_no_height_of_the_imu_where_the_inputs_answer_them() -> None:
     """Gusts roll the aircraft and push it sideways, as with an accelerometer 0.5 m up."""
     rng, places = np.random.default_rng(1), layout(STRUCTURES["flight_dynamics"])
     p = np.convolve(rng.normal(size=1200), np.ones(10), "same")
-    signals = np.zeros((places.rows, len(p), 2 + 2 * places.width))
-    samples = RowSamples(signals, DT)
+    samples = RowSamples(np.zeros((places.rows, len(p), 2 + 2 * places.width)), DT)
     samples.f[3, :, places.rolling[0]] = samples.z[3, :, places.rolling[0]] = p
-    samples.y[3] = samples.residual[3] = 0.5 * np.diff(p, prepend=0.0) / DT + 10.0 * rng.normal(
-        size=len(p)
-    )
-
-    def height(roll_ratio: float) -> float:
-        error_model, linear = ModelError(places), known(places=places)
-        for k in range(0, samples.count, 2):
-            part = RowSamples(signals[:, k : k + 2], DT)
-            error_model.add(
-                part,
-                EVERYWHERE,
-                OPEN_LOOP,
-                roll_ratio,
-                linear,
-                force_is_known=False,
-                restarted=k == 0,
-            )
-        return error_model.height
-
-    assert height(0.0) == pytest.approx(0.5, rel=0.2)
-    assert height(0.5) == 0.0
+    pushed = 0.5 * np.diff(p, prepend=0.0) / DT + 10.0 * rng.normal(size=len(p))
+    samples.y[3] = samples.residual[3] = pushed
+    own: dict[str, Any] = {"places": places, "linear": known(places=places)}
+    assert after(samples, roll_ratio=0.0, **own).height == pytest.approx(0.5, rel=0.2)
+    assert after(samples, roll_ratio=0.5, **own).height == 0.0
 
 
 @pytest.mark.parametrize(
     ("found", "sigma", "kept"),
     [(0.1, 0.08, False), (0.1, 0.1, True), (0.15, 0.08, True), (-0.1, 0.08, False)],
 )
-def test_an_earliness_is_refuted_by_blocks_that_would_show_it(
-    found: float, sigma: float, kept: bool
-) -> None:
+def test_blocks_that_would_show_it_refute_earliness(found: float, sigma: float, kept: bool) -> None:
     """Of 0.27 s, in three sigma, they must show less than half."""
     error_model, rows = ModelError(LAYOUT), len(LAYOUT.main) + len(LAYOUT.rolling)
     _make_early(error_model, [0.0, 0.27, 0.0])
-    none, one = np.zeros((rows, 1, 2)), np.ones((rows, 1, 2))
-    shown = Losses(
-        none - [0.0, found],
-        none,
-        sigma * one,
-        np.ones(rows),
-        none,
-        none,
-        np.ones(rows) > 0,
-    )
+    none, every = np.zeros((rows, 1, 2)), np.ones(rows)
+    spread = np.full((rows, 1, 2), sigma)
+    shown = Losses(none - [0.0, found], none, spread, every, none, none, every > 0)
     error_model._follow_earliness(shown)
     only_pitch = error_model.relative_error(np.array([False, True, False]), UNDAMPED)
     assert only_pitch[1] == 0.27 * kept
@@ -531,9 +481,14 @@ def test_a_difference_of_a_ten_thousandth_of_the_power_is_found_by_a_third() -> 
     assert found[0, 0, 0] - found[0, 0, 1] == pytest.approx(1.0 / 3.0, rel=0.01)
 
 
-def answering(travel: float, seed: int, seconds: float = 80.0) -> RowSamples:
-    """Return samples of injected signals, and of a loop that answers gusts with as much."""
-    rng, count = np.random.default_rng(seed), round(seconds / DT)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("travel", "saturates"), [(0.03, True), (1.0, False)])
+def test_answers_do_not_hide_a_saturated_aileron(travel: float, saturates: bool, seed: int) -> None:
+    """A loop answers gusts with as much as is injected.
+
+    Through this dither the injected signal alone sees a straight line.
+    """
+    rng, count = np.random.default_rng(seed), round(80.0 / DT)
     t = DT * np.arange(count)
     injected = 0.03 * (np.sin(1.3 * t) + np.sin(3.1 * t + 1.0) + np.sin(5.3 * t + 2.0))
     p, gust, angle, response = (np.zeros(count + 1) for _ in range(4))
@@ -543,23 +498,10 @@ def answering(travel: float, seed: int, seconds: float = 80.0) -> RowSamples:
         gust[k + 1] = 0.85 * gust[k] + 0.5 * rng.normal()
         pdot[k] = DAMPING * p[k] + EFFECT * np.clip(u[k], -travel, travel) + gust[k]
         p[k + 1], angle[k + 1] = p[k] + DT * pdot[k], angle[k] + DT * p[k]
-        slope = DAMPING * response[k] + EFFECT * injected[k]
-        response[k + 1] = response[k] + DT * slope
-    y, f, z = np.zeros((count, 3)), *np.zeros((2, count, STRUCTURE.size))
-    y[:, 0], f[:, ROLL_RATE], f[:, AILERON] = pdot, p[:-1], u
-    z[:, ROLL_RATE], z[:, AILERON] = response[:-1], injected
-    left = y - np.outer(DAMPING * p[:-1] + EFFECT * u, [1.0, 0.0, 0.0])
-    return RowSamples.of(Regression.of(y, f, z, DT), left, LAYOUT)
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize(("travel", "saturates"), [(0.03, True), (1.0, False)])
-def test_answers_do_not_hide_that_an_excited_aileron_saturates(
-    travel: float, saturates: bool, seed: int
-) -> None:
-    """They act as a dither: through it the injected signal alone sees a straight line."""
-    samples, error_model = answering(travel, seed), ModelError(LAYOUT)
-    left = np.mean(np.abs(samples.f[0, :, LAYOUT.main[0]]) < travel)
-    shares(samples, error_model, effect=KNOWN * left, injected=True)
+        response[k + 1] = response[k] + DT * (DAMPING * response[k] + EFFECT * injected[k])
+    samples = by_aileron(u, pdot, p[:-1], pdot - DAMPING * p[:-1] - EFFECT * u)
+    samples.z[0, :, LAYOUT.main[0]] = injected
+    samples.z[0, :, LAYOUT.index[0].tolist().index(ROLL_RATE)] = response[:-1]
+    error_model = after(samples, effect=KNOWN * np.mean(np.abs(u) < travel), injected=True)
     assert error_model.share[0] < 0.25
     assert (error_model.lost[0] > 0.25) == saturates

@@ -3,9 +3,10 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from uav_ident_ros.identification.regression import RowSamples
-from uav_ident_ros.identification.residuals import ORDER, Autoregression
+from uav_ident_ros.identification.residuals import Autoregression
 from uav_ident_ros.identification.scales import MEMORY
 
 DT = 0.05
@@ -13,15 +14,11 @@ WEIGHTS = np.array([[1.2, -0.5, 0.1], [0.0, 0.0, 0.0], [-0.4, 0.2, 0.3]])
 SPREAD = np.array([0.1, 2.0, 1e-3])
 
 
-def residuals(ticks: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals of three rows with known autoregressions, and the innovations in them."""
-    rng = np.random.default_rng(seed)
-    white = SPREAD * rng.normal(size=(ticks, 3))
-    out = np.zeros((ticks + ORDER, 3))
-    for k in range(ticks):
-        past = out[k : k + ORDER][::-1]
-        out[k + ORDER] = (WEIGHTS.T * past).sum(axis=0) + white[k]
-    return out[ORDER:], white
+def residuals(ticks: int) -> np.ndarray:
+    """Residuals of three rows with known autoregressions."""
+    white = SPREAD * np.random.default_rng(1).normal(size=(ticks, 3))
+    pairs = zip(WEIGHTS, white.T, strict=True)
+    return np.stack([lfilter([1.0], [1.0, *-weights], own) for weights, own in pairs], axis=1)
 
 
 def whiten(model: Autoregression, residual: np.ndarray, restarted: bool = False) -> RowSamples:
@@ -34,7 +31,7 @@ def whiten(model: Autoregression, residual: np.ndarray, restarted: bool = False)
 def test_the_autoregression_of_each_row_is_estimated() -> None:
     """Averaged over several memories: each estimate uses one."""
     model, found = Autoregression(3), []
-    for part in np.split(residuals(12_000)[0], 12_000 * DT / MEMORY):
+    for part in np.split(residuals(12_000), 12_000 * DT / MEMORY):
         for pair in np.split(part, len(part) // 2):
             whiten(model, pair)
         found.append((model.weights.copy(), model.variance.copy()))
@@ -45,7 +42,7 @@ def test_the_autoregression_of_each_row_is_estimated() -> None:
 
 def test_a_new_stretch_is_whitened_without_the_old_one() -> None:
     model = Autoregression(3)
-    whiten(model, residuals(100)[0])
+    whiten(model, residuals(100))
     weights = model.weights.copy()
     assert not whiten(model, np.ones((2, 3)), restarted=True).signals.any()
     np.testing.assert_array_equal(model.weights, weights)  # the autoregression stays
@@ -55,15 +52,14 @@ def test_a_new_stretch_is_whitened_without_the_old_one() -> None:
 
 
 def test_the_noise_model_is_fitted_every_0_3_s() -> None:
-    model, residual = Autoregression(3), residuals(400)[0]
+    model, residual = Autoregression(3), residuals(400)
     fits = 0
     for part in np.split(residual, 200):
         before = model.weights
         whiten(model, part)
         fits += model.weights is not before
-    assert fits == pytest.approx(
-        len(residual) * DT / 0.3, abs=1
-    )  # the first two samples after LOOK_TIME
+    # the first two samples after LOOK_TIME
+    assert fits == pytest.approx(len(residual) * DT / 0.3, abs=1)
 
 
 def test_the_innovation_of_a_predictable_signal_is_a_hundredth_of_it() -> None:

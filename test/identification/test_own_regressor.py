@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Regressors of the author's own, in identification, prediction, scaling and linearisation."""
 
-from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
 import pytest
-from equations import slope
-from flying import light_errors, light_measured, messages, run, settings
+from equations import matrix, slope
+from flying import identified, integrated, light_errors, light_measured, run, sent
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -49,52 +48,18 @@ def flight() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times, s, inputs held from each on, and noise-free rates, of the true equations."""
     t = 10.0 + DT * np.arange(round(SECONDS / DT))
     u = multisines(t, 4, 20.0, (0.1, 2.0)) * (0.12, 0.15, 0.15, 0.0)
-
-    def derivative(x: FloatArray, u: FloatArray) -> FloatArray:
-        (p, q, r), (de, dr, da, _) = x, u
-        return np.array(
-            [
-                -6.0 * p + 40.0 * da - 120.0 * da * abs(da),
-                -3.0 * q - 25.0 * de - 6.0 * q * abs(q),
-                -1.5 * r - 8.0 * dr,
-            ]
-        )
-
-    x = [np.zeros(3)]
-    for now in u[:-1]:
-        k1 = derivative(x[-1], now)
-        k2 = derivative(x[-1] + 0.5 * DT * k1, now)
-        k3 = derivative(x[-1] + 0.5 * DT * k2, now)
-        x.append(x[-1] + DT / 6.0 * (k1 + 2.0 * (k2 + k3) + derivative(x[-1] + DT * k3, now)))
-    return t, u, np.array(x)
-
-
-def identified(structure: str) -> Iterator[Estimate]:
-    values = {
-        "structure": structure, "imu.convention": "frd", "actuators.channels": [0, 1, 2, 3],
-        "update_rate": 10.0,
-        **{f"actuators.mixing.{name}": [float(name == own) for own in ("de", "dr", "da", "dth")]
-           for name in ("de", "dr", "da", "dth")},
-    }  # fmt: skip
-    identifier, noise = OnlineIdentifier(Settings.from_values(values)), np.random.default_rng(1)
-    for now, u, x in zip(*flight(), strict=True):
-        t_ns = round(now * 1e9)
-        identifier.add_actuators(t_ns, u.tolist())
-        identifier.add_rates(t_ns, (x + 0.005 * noise.standard_normal(3)).tolist())
-        yield from identifier.advance()
+    return t, u, integrated(OWN, t, u, lambda _: matrix(OWN, TRUE))
 
 
 @cache
 def flown(structure: str) -> tuple[Estimate, ...]:
-    return tuple(identified(structure))
-
-
-def one_second_fit(structure: Structure) -> FloatArray:
     t, u, x = flight()
-    t_ns = np.round(t * 1e9).astype(np.int64)
-    measured = Flown(t_ns, x, InputSignal(t_ns, u), np.zeros((len(t), 2)), np.zeros(3))
-    errors = window_errors(measured, Published.of(flown(structure.name), structure))
-    return score_windows(errors, int(t_ns[0]), int(t_ns[-1]))["last_40_percent"].model
+    t_ns = np.round(t * 1e9).astype(np.int64).tolist()
+    x = x + 0.005 * np.random.default_rng(1).standard_normal(x.shape)
+    stream = [*sent("actuators", t_ns, u), *sent("rates", t_ns, x)]
+    values = {"structure": structure, "imu.convention": "frd", "update_rate": 10.0}
+    identifier = OnlineIdentifier(Settings.from_values(values))
+    return tuple(run(identifier, sorted(stream, key=lambda sample: sample.t_ns)))
 
 
 def test_own_regressors_are_identified_with_their_sigma() -> None:
@@ -106,7 +71,15 @@ def test_own_regressors_are_identified_with_their_sigma() -> None:
 
 
 def test_the_free_prediction_includes_own_regressors() -> None:
-    with_own, without = one_second_fit(OWN), one_second_fit(STRUCTURES["augmented"])
+    t, u, x = flight()
+    t_ns = np.round(t * 1e9).astype(np.int64)
+    measured = Flown(t_ns, x, InputSignal(t_ns, u), np.zeros((len(t), 2)), np.zeros(3))
+    fits = []
+    for structure in (OWN, STRUCTURES["augmented"]):
+        errors = window_errors(measured, Published.of(flown(structure.name), structure))
+        scores = score_windows(errors, int(t_ns[0]), int(t_ns[-1]))
+        fits.append(scores["last_40_percent"].model)
+    with_own, without = fits
     assert (with_own > 95.0).all()
     assert (with_own - without)[:2].min() > 2.0
 
@@ -114,10 +87,10 @@ def test_the_free_prediction_includes_own_regressors() -> None:
 def test_own_regressors_leave_the_flow_angles_as_they_were() -> None:
     """On an aircraft without them they are zero, within three sigma."""
     measured = light_measured(40.0, rate=200.0)
-    identifier = OnlineIdentifier(settings(measured, structure=FLIGHT.name, update_rate=20.0))
-    last = run(identifier, messages(measured))[-1]
-    plain = OnlineIdentifier(settings(measured, update_rate=20.0))
-    before = run(plain, messages(measured))[-1]
+    (_, (*_, last)), (_, (*_, before)) = (
+        identified(measured, structure=name, update_rate=20.0)
+        for name in (FLIGHT.name, "flight_dynamics")
+    )
     where = FLIGHT.index("qdot/q|q|")
     assert abs(last.coefficients[where]) < 3.0 * last.sigma[where] < 3.0 * DRAG.sigma
     moved = np.abs(last.coefficients[:, :-1] - before.coefficients)[[0, 2, 3, 4]]

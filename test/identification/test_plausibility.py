@@ -4,8 +4,8 @@
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -111,9 +111,7 @@ def test_a_fault_stops_learning_but_can_be_switched_off() -> None:
     [(math.pi, 0.0), (0.0, math.pi / 2), (0.0, -math.pi / 2), (math.pi / 2, 0.0)],
     ids=["upside down", "x down", "x up", "on its side"],
 )
-def test_a_rotated_board_is_named_with_its_mounting_angles(
-    rpy: tuple[float, float],
-) -> None:
+def test_a_rotated_board_is_named_with_its_mounting_angles(rpy: tuple[float, float]) -> None:
     signals, misaligned = flown(), rotation(*rpy, 0.0)
     signals.rates, signals.force = signals.rates @ misaligned, signals.force @ misaligned
     assert signals.findings() == ["mounting"]
@@ -244,9 +242,10 @@ BORDERS: list[tuple[str, Callable[[], Signals], dict[str, Any]]] = [
 ]
 
 
-@pytest.mark.parametrize("number", range(len(BORDERS)))
-def test_findings_begin_at_their_limits(number: int) -> None:
-    found, make, read = BORDERS[number]
+@pytest.mark.parametrize(("found", "make", "read"), BORDERS)
+def test_findings_begin_at_their_limits(
+    found: str, make: Callable[[], Signals], read: dict[str, Any]
+) -> None:
     name, _, expected_text = found.partition(": ")
     signals = make()
     assert signals.findings(**(trim(0.0) | read)) == [name] * bool(name)
@@ -281,10 +280,10 @@ def test_evidence_is_held_and_then_cleared() -> None:
 # --- findings from the coefficients ---------------------------------------------------------------
 
 STRUCTURE = STRUCTURES["augmented"]
-
-
-RIGHT = {"pdot/da": 45.0, "pdot/dr": 3.0, "qdot/de": -30.0, "rdot/dr": -9.0, "rdot/da": -1.5}
-REVERSED = RIGHT | {"pdot/da": -45.0}
+DERIVATIVES = {"pdot/da": 45.0, "pdot/dr": 3.0, "qdot/de": -30.0, "rdot/dr": -9.0, "rdot/da": -1.5}
+RIGHT = matrix(STRUCTURE, DERIVATIVES)
+REVERSED = matrix(STRUCTURE, DERIVATIVES | {"pdot/da": -45.0})
+OTHER_RUDDER = matrix(STRUCTURE, DERIVATIVES | {"rdot/dr": 9.0})
 
 
 @pytest.mark.parametrize(
@@ -294,15 +293,14 @@ REVERSED = RIGHT | {"pdot/da": -45.0}
         (REVERSED, 1.0, "signs"),
         (REVERSED, 10.0, "signs"),
         (REVERSED, 16.0, None),
-        (RIGHT | {"rdot/dr": 9.0}, 1.0, "signs"),
+        (OTHER_RUDDER, 1.0, "signs"),
     ],
 )
 def test_reversed_channels_are_named_beyond_three_sigma(
-    values: dict[str, float], sigma: float, name: str | None
+    values: FloatArray, sigma: float, name: str | None
 ) -> None:
-    spread = np.full(STRUCTURE.mask.shape, sigma)
-    expected = ("+pdot/da", "-rdot/dr")
-    found = sign_finding(STRUCTURE, matrix(STRUCTURE, values), spread, expected)
+    spread, expected = np.full(values.shape, sigma), ("+pdot/da", "-rdot/dr")
+    found = sign_finding(STRUCTURE, values, spread, expected)
     assert (found.name if found else None) == name
 
 
@@ -317,19 +315,23 @@ def test_an_imu_that_points_backwards_is_never_usable_where_signs_are_expected()
     assert not identified(measured, supervision__expected_signs=signs)[0].plausibility.noted
 
 
-class Learning:
-    """Findings from the coefficients learned so far."""
+def learning(**given: Any) -> Plausibility:
+    expected = {"supervision__expected_signs": ("+pdot/da",)}
+    return Plausibility(settings_of(structure="augmented", **expected, **given))
 
-    def __init__(self, **given: Any) -> None:
-        expected = {"supervision__expected_signs": ("+pdot/da",)}
-        self.checks = Plausibility(settings_of(structure="augmented", **expected, **given))
 
-    def found(self, t: float, values: dict[str, float], sigma: float) -> list[str]:
-        """Return the findings at a time, s, from the coefficients at that time."""
-        nothing = np.zeros((0, 6))
-        self.checks.look(t, nothing, nothing[:, :4])
-        self.checks.judge(t, matrix(STRUCTURE, values), np.full(STRUCTURE.mask.shape, sigma))
-        return [finding.name for finding in self.checks.findings]
+def judged(
+    checks: Plausibility,
+    t: float,  # s
+    values: FloatArray,
+    sigma: float,
+    *gyro: GyroFilters,
+) -> list[str]:
+    """Return the findings at a time from the coefficients learned until then."""
+    nothing = np.zeros((0, 6))
+    checks.look(t, nothing, nothing[:, :4])
+    checks.judge(t, values, np.full(values.shape, sigma), *gyro)
+    return [finding.name for finding in checks.findings]
 
 
 QUAD = {  # four motors: lift and all moments
@@ -341,20 +343,19 @@ QUAD = {  # four motors: lift and all moments
 
 
 @pytest.mark.parametrize(("given", "moved"), [({}, "surface"), (QUAD, "motor")])
-def test_a_reversed_sign_may_be_a_surface_a_motor_or_an_axis_of_the_imu(
-    given: dict[str, Any], moved: str
-) -> None:
+def test_a_reversed_sign_may_be_an_actuator_or_the_imu(given: dict[str, Any], moved: str) -> None:
     """Gravity does not show an Imu that points backwards, the signs do."""
-    learning = Learning(**given)
-    for t in (1.0, 6.0):
-        learning.found(t, REVERSED, 1.0)
-    assert f"a {moved} is connected the wrong way round" in learning.checks.fault
-    assert learning.checks.fault.endswith("an axis of the Imu is reversed: see imu.rpy")
+    checks = learning(**given)
+    for t, sigma in ((1.0, 3.0), (6.0, 4.0), (7.0, 400.0)):
+        judged(checks, t, REVERSED, sigma)
+    assert checks.fault.startswith("pdot/da is -45 +- 4, expected is +")  # the strongest evidence
+    assert f"a {moved} is connected the wrong way round" in checks.fault
+    assert checks.fault.endswith("an axis of the Imu is reversed: see imu.rpy")
 
 
 def test_a_finding_on_coefficients_stays_until_it_is_the_less_likely() -> None:
     """A finding begins at three sigma; evidence below that does not begin it anew."""
-    learning = Learning()
+    checks = learning()
     for t, values, sigma, named in (
         (1.0, REVERSED, 9.0, []),
         (3.0, REVERSED, 25.0, []),
@@ -367,32 +368,21 @@ def test_a_finding_on_coefficients_stays_until_it_is_the_less_likely() -> None:
         (18.5, REVERSED, 9.0, ["signs"]),
         (25.0, REVERSED, 90.0, ["signs"]),
     ):
-        assert learning.found(t, values, sigma) == named, t
+        assert judged(checks, t, values, sigma) == named, t
 
 
-def test_a_reversed_surface_is_named_with_its_strongest_evidence() -> None:
-    learning = Learning()
-    for t, sigma in ((1.0, 3.0), (6.0, 4.0), (7.0, 400.0)):
-        learning.found(t, REVERSED, sigma)
-    assert learning.checks.fault.startswith("pdot/da is -45 +- 4, expected is +")
-
-
-@dataclass
-class Evidence:
+def evidence(sigma: float) -> GyroFilters:
     """Evidence for wrong axes in place of the gyro's filters."""
 
-    sigma: float
+    def wrong(sure: float) -> WrongAxes | None:
+        return WrongAxes(HYPOTHESES[1], sigma, "lift") if sigma > sure else None
 
-    def wrong_axes(self, sure: float) -> WrongAxes | None:
-        return WrongAxes(HYPOTHESES[1], self.sigma, "lift") if self.sigma > sure else None
-
-    by_lift = wrong_axes
+    return cast(GyroFilters, SimpleNamespace(wrong_axes=wrong, by_lift=wrong))
 
 
 def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> None:
     """Doubted axes take the verdict alone; beyond 4.1 sigma they are named as well."""
-    checks, nothing = Plausibility(settings_of()), np.zeros((0, 6))
-    values = matrix(STRUCTURES["flight_dynamics"], {})
+    checks, values = Plausibility(settings_of()), matrix(STRUCTURES["flight_dynamics"], {})
     for t, sigma, doubted, named in (
         (1.0, 2.9, False, False),
         (2.0, 3.1, True, False),
@@ -402,19 +392,15 @@ def test_axes_are_in_doubt_from_three_sigma_on_and_a_fault_without_doubt() -> No
         (10.0, 3.1, True, True),
         (11.0, -1.0, False, False),
     ):
-        checks.look(t, nothing, nothing[:, :4])
-        checks.judge(t, values, np.ones_like(values), cast(GyroFilters, Evidence(sigma)))
+        assert judged(checks, t, values, 1.0, evidence(sigma)) == ["axes"] * named, t
         assert (checks.doubt is not None, bool(checks.fault)) == (doubted, named), t
-        assert checks.likely_axes.startswith("the axes of the gyro are unconfirmed: ") == (
-            sigma > 0.0
-        )
-        assert [finding.name for finding in checks.findings] == ["axes"] * named, t
+        likely = checks.likely_axes.startswith("the axes of the gyro are unconfirmed: ")
+        assert likely == (sigma > 0.0)
 
 
 # --- small errors of the settings ---------------------------------------------------------------
 
 
-@cache
 def with_an_imu_at(height: float, configured: float) -> tuple[OnlineIdentifier, Estimate]:
     """Return an identifier after an excited flight with the Imu above the centre of gravity, m."""
     m = light_measured(40.0, sensors={"lever_arm": (0.0, 0.0, -height)})
@@ -432,76 +418,69 @@ def test_the_height_of_the_imu_is_estimated_and_sigma_covers_its_effect(height: 
     assert share > 0.15 and sigmas < 2.0
 
 
+def setup_error(
+    estimate: DelayEstimate,
+    delay: float,  # In use, s
+    damping: float,  # 1/s
+    *,
+    configured: bool,  # Whether the lag is
+    structure: str = "flight_dynamics",
+    lost: float = 0.0,  # Share of the effect that a hidden lag attenuates
+) -> tuple[float, str]:
+    """Return the aileron's error relative to its effect, and the reason that denies its row."""
+    own = STRUCTURES[structure]
+    values, setup = matrix(own, {"pdot/da": 60.0, "pdot/p": -damping}), SetupErrors(own, 20.0)
+    shares = np.array([0.0, 0.0, lost, 0.0])
+    setup.look(values, estimate, delay, 0.0, lambda _: shares, 0.0, lag_is_configured=configured)
+    sigma = setup.widened(np.full(values.shape, 1e-6))
+    return sigma[own.index("pdot/da")] / 60.0, setup.denied(values, 4.0)[0]
+
+
 def test_sigma_covers_the_loss_by_an_unseparated_lag_without_damping() -> None:
-    structure = STRUCTURES["flight_dynamics"]
-    values, rudder = np.zeros((5, structure.size)), structure.index("rdot/dr")
-    values[rudder] = -9.0
     sure = DelayEstimate(delay=0.1, sigma=0.01, rise=9.0, hidden=0.1)
-    lost, setup = np.array([0.0, 0.3, 0.0, 0.0]), SetupErrors(structure, 20.0)
-    setup.look(values, sure, 0.1, 0.0, lambda _: lost, 0.0, lag_is_configured=False)
-    assert setup.widened(np.full(values.shape, 0.1))[rudder] == pytest.approx(2.7, rel=0.01)
-    assert "servo lag are not separated" in setup.denied(values, 4.0)[2]
-    setup.look(values, sure, 0.1, 0.0, lambda _: lost, 0.0, lag_is_configured=True)
-    assert setup.widened(np.full(values.shape, 0.1))[rudder] == 0.1
+    share, reason = setup_error(sure, 0.1, 0.0, configured=False, lost=0.3)
+    assert share == pytest.approx(0.3, rel=0.01)
+    assert "servo lag are not separated" in reason
+    share, _ = setup_error(sure, 0.1, 0.0, configured=True, lost=0.3)
+    assert share == pytest.approx(0.0, abs=1e-7)
 
 
-def test_with_a_known_sum_the_lag_error_counts_to_second_order() -> None:
+@pytest.mark.parametrize(("total", "missed"), [(0.03, 0.0), (0.05, 0.02), (0.01, -0.02)])
+def test_with_a_known_sum_the_lag_error_counts_to_second_order(total: float, missed: float) -> None:
     """The error of the delay in use relative to the sum counts to first order."""
-    structure = STRUCTURES["flight_dynamics"]
-    values, rudder, damping = np.zeros((5, structure.size)), structure.index("rdot/dr"), 5.0
-    values[rudder], values[structure.index("rdot/r")] = -9.0, -damping
-    estimated = DelayEstimate(0.03, 0.01, 0.03, 0.01, 9.0, 0.02, lag_sigma=0.02, hidden=0.04)
-    for total, missed in ((0.03, 0.0), (0.05, 0.02), (0.01, -0.02)):
-        setup = SetupErrors(structure, 20.0)
-        estimate = replace(estimated, total=total)
-        setup.look(values, estimate, 0.03, 0.0, lambda _: np.zeros(4), 0.0, lag_is_configured=False)
-        share = damping * abs(missed) + 0.5 * (damping * estimated.hidden) ** 2
-        widened = setup.widened(np.full(values.shape, 1e-6))[rudder]
-        assert widened == pytest.approx(9.0 * share, rel=1e-3)
+    estimate = DelayEstimate(0.03, 0.01, total, 0.01, 9.0, 0.02, lag_sigma=0.02, hidden=0.04)
+    share, _ = setup_error(estimate, 0.03, 5.0, configured=False)
+    assert share == pytest.approx(5.0 * abs(missed) + 0.5 * (5.0 * 0.04) ** 2, rel=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("lag", "total", "share"), [(0.03, 0.02, 0.0), (0.07, 0.02, 0.041), (0.0, 0.08, 0.296)]
+    ("lag", "total", "expected"), [(0.03, 0.02, 0.0), (0.07, 0.02, 0.041), (0.0, 0.08, 0.296)]
 )
-def test_of_a_configured_lag_the_error_beyond_chance_counts(
-    lag: float, total: float, share: float
-) -> None:
+def test_a_configured_lag_counts_beyond_chance(lag: float, total: float, expected: float) -> None:
     """The error of the sum of lag and delay counts to first order, that of the lag to second."""
-    structure = STRUCTURES["augmented"]
-    values, roll = np.zeros((3, structure.size)), structure.index("pdot/da")
-    values[roll], values[structure.index("pdot/p")] = 60.0, -5.0
     estimate = DelayEstimate(0.02, 0.01, total, 0.01, 9.0, lag, lag_sigma=0.04, hidden=0.1)
-    setup = SetupErrors(structure, 20.0)
-    setup.look(values, estimate, 0.02, 0.0, lambda _: np.zeros(4), 0.0, lag_is_configured=True)
-    widened = setup.widened(np.full(values.shape, 1e-6))[roll]
-    assert widened == pytest.approx(60.0 * share, rel=0.01, abs=1e-5)
-    assert bool(setup.denied(values, 4.0)[0]) == (share > 0.25)
+    share, reason = setup_error(estimate, 0.02, 5.0, configured=True, structure="augmented")
+    assert share == pytest.approx(expected, rel=0.01, abs=1e-7)
+    assert bool(reason) == (expected > 0.25)
 
 
 @pytest.mark.parametrize(
-    ("delay", "rise", "share"), [(0.009, 9.0, 0.0), (0.0125, 9.0, 0.075), (0.0125, 3.0, 0.0)]
+    ("delay", "rise", "expected"), [(0.009, 9.0, 0.0), (0.0125, 9.0, 0.075), (0.0125, 3.0, 0.0)]
 )
 def test_of_a_possible_delay_error_the_square_beyond_its_variance_counts(
-    delay: float, rise: float, share: float
+    delay: float, rise: float, expected: float
 ) -> None:
     """Below two sigma the error is not sure. A row is denied where its share is a quarter."""
-    structure = STRUCTURES["flight_dynamics"]
-    values, roll = np.zeros((5, structure.size)), structure.index("pdot/da")
-    values[roll], values[structure.index("pdot/p")] = 60.0, -10.0
-    estimate, setup = DelayEstimate(delay, 0.01, rise=rise), SetupErrors(structure, 20.0)
-    setup.look(values, estimate, 0.0, 0.0, lambda _: np.zeros(4), 0.0, lag_is_configured=True)
-    widened = setup.widened(np.full(values.shape, 1e-6))[roll]
-    assert widened == pytest.approx(60.0 * share, abs=1e-5)
-    assert not any(setup.denied(values, 4.0))
+    estimate = DelayEstimate(delay, 0.01, rise=rise)
+    share, reason = setup_error(estimate, 0.0, 10.0, configured=True)
+    assert share == pytest.approx(expected, abs=1e-7)
+    assert not reason
 
 
-def test_a_configured_height_is_no_error() -> None:
+def test_a_configured_height_is_no_error_and_a_bias_of_a_quarter_by_one_denies_the_row() -> None:
     identifier, last = with_an_imu_at(0.3, 0.3)
     assert identifier.estimator.height == 0.0
     assert last.usable, last.reason
-
-
-def test_a_roll_row_with_a_bias_of_a_quarter_by_the_height_is_not_usable() -> None:
     _, last = with_an_imu_at(-0.3, 0.0)
     assert not last.usable_rows[0]
     assert "m below where 'imu.lever_arm' puts it" in last.reason

@@ -279,16 +279,6 @@ jumping_legs = st.lists(st.tuples(steady_flights, new_bases), min_size=2, max_si
 TWO_BASES = [(Fly(3.0, 200.0, 1.0, 0.0, 1), 2 * S), (Fly(3.0, 200.0, 1.0, 0.0, 2), 0)]
 
 
-def flown(legs: list[tuple[Fly, int]]) -> list[Sample]:
-    """Samples of several flights with gaps between them, in the order of their stamps."""
-    samples: list[Sample] = []
-    start_ns = START_NS
-    for flight, gap_ns in legs:
-        samples += flight.samples(start_ns)
-        start_ns += round(flight.seconds * S) + gap_ns
-    return samples
-
-
 def estimates_of(
     settings: Settings, samples: list[Sample], batches: Iterator[int]
 ) -> tuple[list[Estimate], dict[str, Any]]:
@@ -313,13 +303,6 @@ def exactly(estimate: Estimate) -> tuple[Any, ...]:
     )
 
 
-def shuffled(samples: list[Sample], wait_ns: int, seed: int) -> list[Sample]:
-    """Return samples that arrive up to `wait_ns` late; at 0 only the streams' order changes."""
-    late = np.random.default_rng(seed).integers(0, max(wait_ns, 1), len(samples))
-    order = sorted(range(len(samples)), key=lambda k: samples[k][1] + int(late[k]))
-    return [samples[k] for k in order]
-
-
 @FEWER
 @given(
     settings=any_settings,
@@ -335,10 +318,18 @@ def test_batching_and_order_of_arrival_do_not_change_the_estimates(
 
     Ticks due before a jump of the stamps are computed even after it.
     """
-    samples = flown(legs)
+    samples: list[Sample] = []
+    start_ns = START_NS
+    for flight, gap_ns in legs:
+        samples += flight.samples(start_ns)
+        start_ns += round(flight.seconds * S) + gap_ns
     reference, dropped = estimates_of(settings, samples, itertools.repeat(1))
     jumps = any(gap_ns > S for _, gap_ns in legs)
-    own = samples if jumps else shuffled(samples, round(settings.input_wait * S), seed)
-    estimates, also_dropped = estimates_of(settings, own, itertools.cycle(sizes))
+    if not jumps:  # samples arrive up to `input_wait` late; at 0 only the streams' order changes
+        wait_ns = max(round(settings.input_wait * S), 1)
+        late = np.random.default_rng(seed).integers(0, wait_ns, len(samples)).tolist()
+        arrivals = [sample[1] + wait for sample, wait in zip(samples, late, strict=True)]
+        samples = [samples[k] for k in sorted(range(len(samples)), key=arrivals.__getitem__)]
+    estimates, also_dropped = estimates_of(settings, samples, itertools.cycle(sizes))
     assert list(map(exactly, estimates)) == list(map(exactly, reference))
     assert also_dropped == dropped

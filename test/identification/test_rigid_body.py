@@ -8,24 +8,16 @@ from uav_ident_ros.identification.rigid_body import Inertia, coefficients_from_p
 from uav_ident_ros.identification.structure import STRUCTURES
 
 
-def random_body(rng: np.random.Generator) -> Inertia:
-    """A body of a few masses, whose inertias are therefore possible ones."""
-    masses = rng.uniform(0.1, 2.0, 12)
-    x, y, z = rng.normal(size=(3, 12)) * np.array([[0.5], [0.8], [0.2]])
-    return Inertia(
-        ix=float(masses @ (y**2 + z**2)),
-        iy=float(masses @ (x**2 + z**2)),
-        iz=float(masses @ (x**2 + y**2)),
-        ixz=float(masses @ (x * z)),
-    )
-
-
 @pytest.mark.parametrize("name", ["baseline", "throttle_coupled", "augmented"])
 def test_a_reproduces_the_rigid_body_equations(name: str) -> None:
     structure = STRUCTURES[name]
     rng = np.random.default_rng(1)
     for _ in range(200):
-        body = random_body(rng)
+        # a body of a few masses, whose inertias are therefore possible ones
+        masses, arms = rng.uniform(0.1, 2.0, 12), rng.normal(size=(3, 12))
+        x, y, z = arms * np.array([[0.5], [0.8], [0.2]])
+        moments_of = [y**2 + z**2, x**2 + z**2, x**2 + y**2, x * z]
+        body = Inertia(*(float(masses @ squares) for squares in moments_of))
         moments = rng.normal(size=(3, structure.size - 5)) * structure.mask[:, 5:]
         a = coefficients_from_physics(body, moments)
         x, u, force = rng.normal(size=3) * 3.0, rng.normal(size=4), rng.normal(size=2) * 5.0
@@ -43,11 +35,8 @@ def test_a_reproduces_the_rigid_body_equations(name: str) -> None:
         np.testing.assert_allclose(left, right, rtol=0, atol=1e-12 * scale)
 
 
-def test_impossible_inertias_are_refused() -> None:
+def test_impossible_inertias_and_unknown_derivatives_are_refused() -> None:
     with pytest.raises(ValueError, match="not positive definite"):
         Inertia(1.0, 1.0, 1.0, 1.2)
-
-
-def test_an_unknown_derivative_is_named() -> None:
     with pytest.raises(ValueError, match="'l_flap' is no moment derivative"):
         full_moments(STRUCTURES["baseline"], l_flap=1.0)

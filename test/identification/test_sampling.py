@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rates and inputs on one grid: exact pairing, gaps, stale inputs, trim, bounded memory."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,31 +57,27 @@ def gridded(rates_ms: Any, inputs_ms: Any, until_ms: int, **values: Any) -> list
     return list(blocks(target, until_ms * MS))
 
 
-def sampled(measurements: Measurements, **changes: Any) -> tuple[Sampler, list[Block]]:
-    """A sampler with a whole flight, and its blocks."""
-    target = Sampler(settings(measurements, **changes))
-    for message in messages(measurements):
+def filtered(
+    m: Measurements, structure: str, arm: Sequence[float] = (0.0, 0.0, 0.0), **changes: Any
+) -> tuple[FloatArray, FloatArray]:
+    """Filtered accelerations and regressors of a whole flight."""
+    target, svf, out = Sampler(settings(m, **changes)), None, []
+    for message in messages(m):
         stream = target.rates if message.stream == "rates" else target.raw_inputs
         stream.append(message.t_ns, message.values)
-    first, last = int(measurements.imu_t_ns[0]), int(measurements.imu_t_ns[-1])
-    return target, list(blocks(target, last + TICK_NS, first))
-
-
-def misfit(measurements: Measurements, cutoff: float = 15.0, **changes: Any) -> FloatArray:
-    """Largest ``|y - A f|`` of the filtered equation, relative to the largest |y|; per row."""
-    flight = measurements.flight
-    assert flight.coefficients is not None
-    structure = STRUCTURES[flight.structure]
-    residuals, accelerations = [], []
-    svf = None
-    for block in sampled(measurements, **changes)[1]:
-        if svf is None:
-            svf = StateVariableFilter(structure, cutoff, block.h, np.zeros(3))
+    for block in blocks(target, int(m.imu_t_ns[-1]) + TICK_NS, int(m.imu_t_ns[0])):
+        svf = svf or StateVariableFilter(STRUCTURES[structure], 15.0, block.h, np.array(arm))
         data = svf.apply(block)
-        residuals.append(data.y - data.f @ flight.coefficients.T)
-        accelerations.append(data.y)
-    e, y = np.concatenate(residuals), np.concatenate(accelerations)
-    return np.abs(e).max(axis=0) / np.abs(y).max(axis=0)
+        out.append((data.y.copy(), data.f.copy()))
+    y, f = (np.concatenate(part) for part in zip(*out, strict=True))
+    return y, f
+
+
+def misfit(m: Measurements, **changes: Any) -> FloatArray:
+    """Largest ``|y - A f|`` of the filtered equation, relative to the largest |y|; per row."""
+    assert m.flight.coefficients is not None
+    y, f = filtered(m, m.flight.structure, **changes)
+    return np.abs(y - f @ m.flight.coefficients.T).max(axis=0) / np.abs(y).max(axis=0)
 
 
 # -- the filtered equation holds ---------------------------------------------------------------
@@ -104,12 +100,11 @@ def test_the_filtered_equation_holds_with_delay_and_lag(delay: float, lag: float
 
 def test_the_lever_arm_corrects_an_offset_accelerometer() -> None:
     flight = plant_flight(5.0, rate=1000.0, max_step=1e-3, force=ColouredNoise(0.3, 0.5))
-    structure, forces = STRUCTURES["augmented"], []
     arms = ((0.0, 0.0, 0.0), (1.0, -0.3, 0.2))
-    for arm in arms:
-        svf = StateVariableFilter(structure, 15.0, 0.001, np.array(arm))
-        own = measure(flight, Sensors(1000.0, lever_arm=arm))
-        forces.append(np.concatenate([svf.apply(b).f[:, 13:] for b in sampled(own)[1]]))
+    measured = (measure(flight, Sensors(1000.0, lever_arm=arm)) for arm in arms)
+    forces = [
+        filtered(m, "augmented", arm)[1][:, 13:] for m, arm in zip(measured, arms, strict=True)
+    ]
     uncorrected = flight.force_at(arms[1])[:, 1:] - flight.force_at(arms[0])[:, 1:]
     # The rest is half a cell: held inputs make the accelerations jump between two samples.
     assert np.abs(forces[1] - forces[0]).max() < 0.01 * np.abs(uncorrected).max()
@@ -128,6 +123,7 @@ def test_the_grid_has_the_imus_rate_and_contains_every_sample(rate: int) -> None
     got = list(blocks(target, 2000 * MS))
     assert got[0].restarted and not any(block.restarted for block in got[1:])
     assert got[0].h == pytest.approx(1.0 / rate, rel=1e-6)
+    assert got[0].t_ns[-1] <= 1100 * MS
     edges = np.concatenate([block.t_ns[:-1] for block in got])
     assert np.all(np.diff(edges) == edges[1] - edges[0])
     assert len(edges) > (len(stamps) - 2 * RATE_SAMPLES if rate < 100 else len(stamps) - 60)
@@ -149,20 +145,22 @@ def test_the_grid_has_the_rate_of_the_imu_despite_lost_samples(stamps_ms: Any, h
     assert gridded(stamps_ms, range(0, 2000, 20), 2000)[0].h == pytest.approx(h)
 
 
-def test_an_imu_of_20_hz_is_used_after_a_second() -> None:
-    assert gridded(range(0, 3000, 50), range(0, 3000, 20), 3000)[0].t_ns[-1] <= 1100 * MS
-
-
 # -- gaps and stale inputs ---------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("gap_ms", "restarts"), [(150, 0), (250, 1)])
-def test_only_a_long_gap_in_the_rates_begins_a_new_stretch(gap_ms: int, restarts: int) -> None:
-    stamps_ms = [*range(0, 1000, 5), *range(1000 + gap_ms, 2500, 5)]
-    got = gridded(stamps_ms, range(0, 2500, 20), 2500)
+@pytest.mark.parametrize(
+    ("rates_lost", "inputs_lost", "restarts"),
+    [(150, 0, 0), (250, 0, 1), (0, 90, 0), (0, 150, 1)],  # ms
+)
+def test_long_gaps_begin_a_new_stretch(rates_lost: int, inputs_lost: int, restarts: int) -> None:
+    """Frequent inputs are held for 0.1 s: five intervals of 10 ms would be less."""
+    rates_ms = [*range(0, 1000, 5), *range(1000 + rates_lost, 2500, 5)]
+    inputs_ms = [*range(0, 1010, 10), *range(1000 + inputs_lost, 2500, 10)]
+    got = gridded(rates_ms, inputs_ms, 2500)
     assert sum(block.restarted for block in got) == 1 + restarts
-    covered = sum(int(block.t_ns[-1] - block.t_ns[0]) for block in got)
-    assert covered == (2495 - restarts * (gap_ms + 5)) * MS
+    if rates_lost:
+        covered = sum(int(block.t_ns[-1] - block.t_ns[0]) for block in got)
+        assert covered == (2495 - restarts * (rates_lost + 5)) * MS
 
 
 def test_inputs_at_an_irregular_rate_are_held_until_the_timeout() -> None:
@@ -172,14 +170,6 @@ def test_inputs_at_an_irregular_rate_are_held_until_the_timeout() -> None:
     got = gridded(range(0, 6000, 5), [0, *sent], 6000, actuators__timeout=0.4)
     assert [block.restarted for block in got] == [True] + [False] * (len(got) - 1)
     assert got[-1].t_ns[-1] == (int(sent[-1]) + 400) * MS
-
-
-@pytest.mark.parametrize(("lost_ms", "restarts"), [(90, 0), (150, 1)])
-def test_frequent_inputs_are_held_for_a_tenth_of_a_second(lost_ms: int, restarts: int) -> None:
-    """Five intervals of 10 ms would be less: a few lost messages begin no new stretch."""
-    sent_ms = [*range(0, 1010, 10), *range(1000 + lost_ms, 3000, 10)]
-    got = gridded(range(0, 3000, 5), sent_ms, 3000)
-    assert sum(block.restarted for block in got) == 1 + restarts
 
 
 @pytest.mark.parametrize("interpolation", ["hold", "linear"])
@@ -211,9 +201,7 @@ def test_linear_interpolation_waits_for_the_next_input_sample() -> None:
 @pytest.mark.parametrize(
     ("trim_time", "inputs", "missing"), [(0.0, [], "actuators"), (1.0, [0], "trim")]
 )
-def test_without_inputs_or_a_learned_trim_no_block_is_made(
-    trim_time: float, inputs: list[int], missing: str
-) -> None:
+def test_blocks_need_inputs_and_trim(trim_time: float, inputs: list[int], missing: str) -> None:
     target = sampler(actuators__learn_trim_time=trim_time)
     add_rates(target, range(0, 3000 * MS, 5 * MS))
     add_inputs(target, inputs)
@@ -221,12 +209,11 @@ def test_without_inputs_or_a_learned_trim_no_block_is_made(
     assert missing in target.waiting_for
 
 
-@pytest.mark.parametrize(("turning", "sway", "steady"), [
-    (0.08, 0.0, True), (0.0, 0.08, True), (-0.12, 0.0, False), (0.0, 0.12, False),
-])  # fmt: skip
-def test_the_trim_is_learned_in_a_slow_turn_and_in_light_gusts(
-    turning: float, sway: float, steady: bool
-) -> None:
+@pytest.mark.parametrize(
+    ("turning", "sway", "steady"),
+    [(0.08, 0.0, True), (0.0, 0.08, True), (-0.12, 0.0, False), (0.0, 0.12, False)],
+)
+def test_the_trim_is_learned_in_quiet_flight(turning: float, sway: float, steady: bool) -> None:
     target = sampler(actuators__learn_trim_time=2.0)
     t = np.arange(0, 3000, 5)
     rates = turning + sway * np.sqrt(2.0) * np.sin(2.0 * np.pi * 2e-3 * t)

@@ -23,9 +23,7 @@ from uav_ident_ros.identification.structure import STRUCTURES
         ),
     ],
 )
-def test_a_value_beyond_its_documented_limit_is_refused(
-    name: str, allowed: object, refused: object
-) -> None:
+def test_values_beyond_limits_are_refused(name: str, allowed: object, refused: object) -> None:
     assert Settings.from_values({name: allowed, "structure": "augmented"}).values()[name] == allowed
     with pytest.raises(SettingsError, match=name):
         Settings.from_values({name: refused, "structure": "augmented"})

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed scaling: one set of coefficients over a range of airspeeds."""
 
+from copy import deepcopy
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from flying import AMPLITUDES
+from flying import AMPLITUDES, integrated, run, sent
 
 from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
@@ -17,8 +18,6 @@ from uav_ident_ros.simulation.inputs import Segment, sample_inputs
 from uav_ident_ros.simulation.plant import SMALL_UAV
 
 RATE = 100.0
-STEPS = 4
-"""Integration steps between two samples."""
 REFERENCE = 20.0
 START_NS = 1_700_000_000 * 10**9
 PLANT = SMALL_UAV
@@ -42,14 +41,7 @@ def flown() -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times, rates and inputs of a plant whose coefficients follow the airspeed."""
     t = np.arange(round(40.0 * RATE)) / RATE
     u = sample_inputs([Segment("multisine", amplitudes=AMPLITUDES, seed=1)], t)
-    x = np.zeros((len(t), 3))
-    for k in range(len(t) - 1):
-        x[k + 1], h = x[k], 1.0 / RATE / STEPS
-        a = scaled(float(airspeed(t[k])))
-        for _ in range(STEPS):  # midpoint rule
-            middle = x[k + 1] + 0.5 * h * (a @ STRUCTURE.regressor(x[k + 1], u[k]))
-            x[k + 1] += h * (a @ STRUCTURE.regressor(middle, u[k]))
-    return t, x, u
+    return t, integrated(STRUCTURE, t, u, lambda now: scaled(float(airspeed(np.array(now))))), u
 
 
 def worst_linear(found: FloatArray, truth: FloatArray) -> float:
@@ -68,19 +60,19 @@ def identify(
 
     No airspeed arrives in an interval, s; it has a noise, m/s rms.
     """
-    plain = {"structure": STRUCTURE.name, **FRD}
-    rng = np.random.default_rng(1)
-    identifier = OnlineIdentifier(Settings.from_values({**plain, **values}))
-    estimates: list[Estimate] = []
-    for t, x, u in zip(*flown(), strict=True):
-        t_ns = START_NS + round(t * 1e9)
-        identifier.add_actuators(t_ns, u.tolist())
-        if not silent[0] < t < silent[1]:
-            measured = airspeed(t) + noise * rng.standard_normal()
-            identifier.add_airspeed(t_ns, float(measured))
-        identifier.add_rates(t_ns, x.tolist())
-        estimates += identifier.advance()
-    return identifier, estimates
+    identifier = OnlineIdentifier(
+        Settings.from_values({"structure": STRUCTURE.name, **FRD, **values})
+    )
+    t, x, u = flown()
+    t_ns = [START_NS + round(now * 1e9) for now in t]
+    speed = airspeed(t) + noise * np.random.default_rng(1).standard_normal(len(t))
+    told = [
+        sample
+        for now, sample in zip(t, sent("airspeed", t_ns, speed[:, None]), strict=True)
+        if not silent[0] < now < silent[1]
+    ]
+    stream = [*sent("actuators", t_ns, u), *told, *sent("rates", t_ns, x)]
+    return identifier, run(identifier, sorted(stream, key=lambda sample: sample.t_ns))
 
 
 def test_one_set_of_coefficients_holds_at_all_airspeeds() -> None:
@@ -138,9 +130,7 @@ def random_walk(step: float, noise: float) -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize(("step", "noise"), [(0.05, 0.5), (0.1, 0.3), (0.3, 0.3), (0.2, 3.0)])
-def test_the_filter_is_as_good_as_the_kalman_filter_of_the_known_noise(
-    step: float, noise: float
-) -> None:
+def test_the_filter_is_as_good_as_kalmans_of_known_noise(step: float, noise: float) -> None:
     true, samples = random_walk(step, noise)
     found, sigma = (signal[600:] for signal in filtered(samples))
     ratio = (step / noise) ** 2  # Harvey 1989, section 4.1.2
@@ -169,19 +159,16 @@ def test_a_step_of_the_sensor_and_its_return_are_followed_at_once() -> None:
     assert np.std(np.diff(found[3200:])) < 0.3 * np.std(np.diff(samples[3200:]))
 
 
-def test_after_a_silence_the_airspeed_is_the_new_sample() -> None:
+def test_after_a_silence_or_in_a_new_time_base_the_first_sample_counts() -> None:
+    """A new time base keeps the known noise."""
     true, samples = random_walk(0.05, 0.5)
     filtered(samples[:1000], found := AirspeedFilter())
+    anew = deepcopy(found)
     found.add(START_NS + 120 * 10**9, true[1000] + 1.5)
     assert found.airspeed == pytest.approx(true[1000] + 1.5, abs=0.02)
-
-
-def test_a_new_time_base_begins_with_its_first_sample_and_the_known_noise() -> None:
-    true, samples = random_walk(0.05, 0.5)
-    filtered(samples[:1000], found := AirspeedFilter())
-    found.restart()
-    errors = filtered(samples[1000:1100], found, 1)[0] - true[1000:1100]
-    assert found.airspeed != samples[1099]
+    anew.restart()
+    errors = filtered(samples[1000:1100], anew, 1)[0] - true[1000:1100]
+    assert anew.airspeed != samples[1099]
     assert errors[0] == pytest.approx(samples[1000] - true[1000])
     assert np.std(errors[10:]) < 0.25  # not the 0.5 of the samples
 

@@ -19,7 +19,7 @@ def test_the_masks_are_those_of_the_paper() -> None:
     assert [tuple(i) for i in np.argwhere(coupled & ~mask)] == [(0, 11), (2, 11)]
 
 
-def test_the_regressors_are_those_of_their_labels() -> None:
+def test_regressors_and_entries_are_those_of_their_names() -> None:
     structure = STRUCTURES["augmented"]
     p, q, r = 0.3, -0.7, 1.1
     u = dict(zip(INPUTS, (0.01, 0.02, 0.03, 0.4), strict=True))
@@ -30,6 +30,10 @@ def test_the_regressors_are_those_of_their_labels() -> None:
         if expected is None:  # a product of two rates, as 'pq' or 'rr'
             expected = values[label[0]] * values[label[1]]
         assert value == expected
+    assert structure.index("pdot/da") == (0, 10)
+    assert structure.index("qdot/1") == (1, 12)
+    with pytest.raises(ValueError, match="no coefficient 'pdot/de'"):
+        structure.index("pdot/de")
 
 
 def test_flow_angles_have_rows_for_their_forces_and_kinematics() -> None:
@@ -53,11 +57,3 @@ def test_flow_angles_have_rows_for_their_forces_and_kinematics() -> None:
         other = STRUCTURES[name]
         assert other.row_labels == other.dense_rows == ("pdot", "qdot", "rdot")
         assert not other.has_flow
-
-
-def test_names_point_to_their_entries() -> None:
-    structure = STRUCTURES["augmented"]
-    assert structure.index("pdot/da") == (0, 10)
-    assert structure.index("qdot/1") == (1, 12)
-    with pytest.raises(ValueError, match="no coefficient 'pdot/de'"):
-        structure.index("pdot/de")
