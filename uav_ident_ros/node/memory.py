@@ -209,30 +209,23 @@ class Memory:
     def attend(self, estimate: Estimate | None, now: float) -> None:
         """Save usable coefficients if due; call it each second with a steady clock's time, s."""
         self._look()
-        period = self._identifier.settings.save_period
-        if estimate is None or not estimate.usable or not 0.0 < period <= now - self._last_save:
-            return
-        self._last_save = now
-        if self._changed(estimate):
-            done, line = self.save(estimate)
-            if not done:
-                self._log.error(line)
+        due = 0.0 < self._identifier.settings.save_period <= now - self._last_save
+        if due and estimate is not None and estimate.usable:
+            self._last_save = now
+            self._save_changes(estimate)
 
     def finish(self, estimate: Estimate | None) -> None:
         """Write the coefficients at the end of the program."""
-        if estimate is None or not self._changed(estimate):
-            return
-        if self._holds_usable and not estimate.usable:
-            return
-        done, line = self.save(estimate, last=True)
-        if done:
-            self._log.info(line)
-        else:
-            self._log.error(line)
+        if estimate is not None and (estimate.usable or not self._holds_usable):
+            self._save_changes(estimate, last=True)
 
-    def _changed(self, estimate: Estimate) -> bool:
-        """Whether there is a state file and the coefficients differ from its content."""
-        if self._path is None:
-            return False
+    def _save_changes(self, estimate: Estimate, *, last: bool = False) -> None:
+        """Save coefficients that differ from those of the file; log a failure, and the end."""
         values = self._identifier.coefficient_set(estimate.t_ns).values
-        return not np.array_equal(values, self._known.values)
+        if self._path is None or np.array_equal(values, self._known.values):
+            return
+        done, line = self.save(estimate, last=last)
+        if not done:
+            self._log.error(line)
+        elif last:
+            self._log.info(line)
