@@ -261,25 +261,21 @@ def test_the_force_of_an_input_adds_to_its_control_derivative() -> None:
     assert u[1] == pytest.approx(1.0 / (-2.4 - 0.35 * 5.5))
 
 
-def test_inversion_is_refused_by_axis_or_input_without_known_effect() -> None:
-    with pytest.raises(Refusal, match=r"nothing moves rdot by itself"):
-        model(rdot_dr=0.001, rdot_da=0.0).invert(np.ones(3), np.zeros(3))
+def test_inversion_is_refused_by_input_without_known_effect() -> None:
     unknown = model(sigma={"rdot/dr": 5.0, "pdot/dr": 50.0})
     assert set(unknown.left_out) >= {"rdot/dr", "pdot/dr"}
     with pytest.raises(Refusal, match="dr not identified"):
         unknown.invert(np.ones(3), np.zeros(3))
 
 
-@pytest.mark.parametrize(("share", "moves"), [(0.008, False), (0.015, True)])
-def test_inversion_needs_a_hundredth_of_the_largest_effect_in_every_direction(
-    share: float, moves: bool
-) -> None:
-    weak = model(pdot_da=29.5, rdot_dr=-29.5 * share, rdot_da=0.0, pdot_dr=0.0)
-    if moves:
-        assert weak.invert(np.ones(3), np.zeros(3)).acceleration == pytest.approx(np.ones(3))
-    else:
-        with pytest.raises(Refusal, match="nothing moves rdot by itself"):
-            weak.invert(np.ones(3), np.zeros(3))
+def test_inversion_needs_a_hundredth_of_the_largest_effect_in_every_direction() -> None:
+    weak, weaker = (
+        model(pdot_da=29.5, rdot_dr=-29.5 * share, rdot_da=0.0, pdot_dr=0.0)
+        for share in (0.015, 0.008)
+    )
+    assert weak.invert(np.ones(3), np.zeros(3)).acceleration == pytest.approx(np.ones(3))
+    with pytest.raises(Refusal, match="nothing moves rdot by itself"):
+        weaker.invert(np.ones(3), np.zeros(3))
 
 
 # --- which coefficients -----------------------------------------------------------------------

@@ -14,7 +14,7 @@ import pytest
 import rclpy.logging
 from estimates import estimate_of
 from programs import Capture, wait_for
-from recordings import NODE, Fly, call, recording
+from recordings import NODE, Fly, recording
 from std_srvs.srv import Trigger
 
 from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
@@ -239,7 +239,7 @@ def test_the_node_starts_cold_from_a_damaged_file_and_warm_from_its_own(
     assert f"started from '{path}', saved" in node.log
     player.play_in_step(flight.messages[:1500])
     assert player.outputs.coefficients[0].data == learned, "the state file wins"
-    assert call(player, Trigger, "reset").success
+    assert player.call(Trigger, "reset").success
     player.play_in_step(flight.messages[:1500])
     mask = STRUCTURE.mask.ravel()
     assert (np.array(player.outputs.coefficients[0].data)[mask] == 0.5).all()
