@@ -111,29 +111,26 @@ def test_an_unusable_state_file_is_reported_and_kept_as_refused(
     assert np.array_equal(load_with_notes(path)[0].values, vehicle.values)
 
 
-def test_the_age_of_the_state_file_is_by_the_system_clock(path: Path, capfd: Capture) -> None:
+@pytest.mark.parametrize(("days", "started"), [(1, True), (6, True), (8, False)])
+@pytest.mark.parametrize("noted", [True, False])
+def test_the_age_of_the_state_file_is_by_the_system_clock(
+    path: Path, days: int, started: bool, noted: bool
+) -> None:
     """The message time is 5 ns, as in simulated time, and has no effect."""
-    day = timedelta(days=1)
-    for age, started in ((day, True), (6 * day, True), (8 * day, False)):
-        write(path, coefficients(2.0), saved=NOW - age)
-        vehicle = Vehicle(path)
-        assert vehicle.values.any() == started, age
-    vehicle = Vehicle(path, state_max_age=0.0)
-    assert vehicle.values.any(), "0 stands for never too old"
-    capfd.readouterr()
-    write(path, coefficients(2.0), saved=NOW + day)
-    vehicle = Vehicle(path)
-    assert vehicle.values.any()
+    moment = NOW - timedelta(days=days)
+    write(path, coefficients(2.0), saved=moment if noted else None)
+    # a file without `saved` has the time of its modification
+    os.utime(path, times=(0.0 if noted else moment.timestamp(),) * 2)
+    assert Vehicle(path).values.any() == started
+    assert Vehicle(path, state_max_age=0.0).values.any(), "0 stands for never too old"
+
+
+def test_a_state_file_of_the_future_is_used(path: Path, capfd: Capture) -> None:
+    write(path, coefficients(2.0), saved=NOW + timedelta(days=1))
+    assert Vehicle(path).values.any()
     printed = capfd.readouterr().err
     assert "the computer's clock is 24 h behind" in printed
     assert re.search(rf"started from '{re.escape(str(path))}'$", printed, re.MULTILINE)
-    # a file without `saved` has the time of its modification
-    for age, started in ((1, True), (8, False)):
-        write(path, coefficients(2.0))
-        moment = (NOW - timedelta(days=age)).timestamp()
-        os.utime(path, (moment, moment))
-        vehicle = Vehicle(path)
-        assert vehicle.values.any() == started
 
 
 def test_a_state_file_below_a_file_is_named_as_such(path: Path) -> None:
