@@ -4,6 +4,7 @@
 import os
 import re
 import signal
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -17,7 +18,12 @@ from programs import Capture, wait_for
 from recordings import NODE, Fly, recording
 from std_srvs.srv import Trigger
 
-from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
+from uav_ident_ros.files.coefficients_file import (
+    CoefficientsFileError,
+    Notes,
+    load_with_notes,
+    save_coefficients,
+)
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
@@ -185,6 +191,27 @@ def test_unusable_coefficients_replace_usable_ones_only_after_a_reset(path: Path
     next_flight.learn(4.0)
     next_flight.memory.finish(next_flight.estimate(usable=False))
     assert load_with_notes(path)[0].values.max() == 4.0
+
+
+def test_a_write_that_fails_late_leaves_nothing_to_protect(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed: list[Path] = []
+
+    def fail_once(values: CoefficientSet, target: Path, notes: Notes) -> None:
+        if failed:
+            return save_coefficients(values, target, notes)
+        failed.append(target)
+        time.sleep(0.1)
+        raise CoefficientsFileError("the disk is full")
+
+    monkeypatch.setattr(memory, "save_coefficients", fail_once)
+    monkeypatch.setattr(memory, "ANSWER_WITHIN", 0.0)
+    vehicle = Vehicle(path)
+    vehicle.learn(1.0)
+    assert vehicle.memory.save(vehicle.estimate(usable=True)) == (True, f"writing '{path}'")
+    vehicle.memory.finish(vehicle.estimate(usable=False))
+    assert load_with_notes(path)[1].usable is False
 
 
 def test_temporary_files_of_killed_processes_alone_are_removed(path: Path) -> None:

@@ -111,7 +111,7 @@ class Memory:
         self._path = state_path(identifier.settings, node_name)
         self._refused = False  # Whether the present file is unusable and must be kept as `ASIDE`
         self._disk = ThreadPoolExecutor(1)
-        self._writing: Future[CoefficientSet] | None = None
+        self._writing: Future[tuple[CoefficientSet, bool]] | None = None
         self._last_save = -math.inf
         self.forget()
 
@@ -147,6 +147,7 @@ class Memory:
 
     def forget(self) -> None:
         """Allow any new coefficients to replace the file, after a reset."""
+        self._look(ANSWER_WITHIN)
         self._holds_usable = False
         # coefficients that need no saving: those of the file, or of a cold start
         self._known = self._identifier.coefficient_set()
@@ -160,7 +161,7 @@ class Memory:
             return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
         if estimate is None:
             return False, "there is no estimate to save yet"
-        self._look(FINISH_WITHIN if last else 0.0)
+        self._look()
         if self._writing is not None:
             return False, f"the disk does not answer: still writing '{path}'"
         lag, configured = self._identifier.lag, self._identifier.settings.actuators.time_constant
@@ -175,16 +176,17 @@ class Memory:
         self._writing = self._disk.submit(self._write, path, coefficients, notes)
         if failed := self._outcome(None if last else ANSWER_WITHIN):
             return False, failed
-        self._holds_usable = estimate.usable
         return True, f"writing '{path}'" if self._writing else f"saved to '{path}'"
 
-    def _write(self, path: Path, coefficients: CoefficientSet, notes: Notes) -> CoefficientSet:
+    def _write(
+        self, path: Path, coefficients: CoefficientSet, notes: Notes
+    ) -> tuple[CoefficientSet, bool]:
         path.parent.mkdir(parents=True, exist_ok=True)
         if self._refused and path.is_file():
             path.replace(path.with_name(path.name + ASIDE))
         self._refused = False
         save_coefficients(coefficients, path, notes)
-        return coefficients
+        return coefficients, bool(notes.usable)
 
     def _outcome(self, patience: float | None) -> str:
         """Wait for the thread and record its result; return the error, empty if none."""
@@ -192,7 +194,7 @@ class Memory:
             return ""
         done, self._writing = self._writing, None
         try:
-            self._known = done.result()
+            self._known, self._holds_usable = done.result()
         except CoefficientsFileError as error:
             return str(error)
         except FileExistsError as error:  # where the folder should be
@@ -215,7 +217,8 @@ class Memory:
             self._save_changes(estimate)
 
     def finish(self, estimate: Estimate | None) -> None:
-        """Write the coefficients at the end of the program."""
+        """Write the coefficients at the end of the program, after those that are being written."""
+        self._look(FINISH_WITHIN)
         if estimate is not None and (estimate.usable or not self._holds_usable):
             self._save_changes(estimate, last=True)
 
