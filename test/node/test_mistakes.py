@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import TwistStamped, Vector3
 from programs import wait_for
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -127,7 +127,8 @@ MISTAKES: dict[str, tuple[str, dict[str, Change]]] = {
     "channels of another kind": (
         DROPPED.format("/actuators", "their values are larger than any aircraft has"),
         {"actuators": put("position", [2e6] * 4)}),
-    "two clocks": ("they run on different clocks", {"actuators": stamped(START_NS + 999 * 10**9)}),
+    "two clocks": ("different clocks. Play a bag with --clock and set use_sim_time, or synchron",
+        {"actuators": stamped(START_NS + 999 * 10**9)}),
     "airspeed of another unit": (
         DROPPED.format("/airspeed", "their values are larger than any aircraft has: look at un"),
         {"airspeed": put("data", 20_000.0)}),
@@ -169,8 +170,10 @@ class Source(Guest):
     def _receive(self, message: DiagnosticArray) -> None:
         if self._sent >= SENT:
             self._sent, self._statuses = 0, self._statuses + 1
-        values = {entry.key: entry.value for entry in message.status[0].values}
-        self.received.append(f"{message.status[0].message}; {values['warnings']}")
+        (status,) = message.status
+        values = {entry.key: entry.value for entry in status.values}
+        self.received.append(f"{status.message}; {values['warnings']}")
+        assert (status.level == DiagnosticStatus.ERROR) == status.message.startswith("fault: ")
 
     def make(self, changes: dict[str, Change]) -> None:
         """Apply these changes to all later messages."""

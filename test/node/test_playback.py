@@ -159,16 +159,3 @@ def test_unstamped_actuators_in_real_time_cost_less_than_a_point(fly: Fly, tmp_p
         if costs[-1] < 1.0:
             return
     pytest.fail(f"the fit differs by {costs} points")
-
-
-def test_playback_without_clock_is_a_fault_that_names_the_option(fly: Fly) -> None:
-    flight = recording("pulses", 3.0)
-    node, player = fly(flight)
-    player.play(flight.messages)
-    player.wait_for_status()
-    faults = [s for s in player.outputs.status if s.message.startswith("fault: ")]
-    assert faults
-    assert "different clocks" in faults[-1].message
-    assert "--clock" in faults[-1].message
-    assert faults[-1].level == b"\x02"
-    assert "--clock" in node.log
