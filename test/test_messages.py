@@ -16,7 +16,7 @@ from uav_ident_ros.identification.samples import ARMED
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.messages import types
 from uav_ident_ros.messages.feed import Feed, decode_imu_cdr
-from uav_ident_ros.messages.streams import STREAMS
+from uav_ident_ros.messages.streams import STREAMS, Stream
 from uav_ident_ros.messages.types import RatesReading
 
 STAMP_NS = 1_700_000_001_250_000_003
@@ -121,53 +121,17 @@ def test_every_declared_type_is_read() -> None:
         assert reader(type=name, channels=[3, 0])(message) == (stamp_ns, (0.75, 1.5)), name
 
 
-TYPE_SETTINGS = {
-    "imu.type": types.RATE_ADAPTERS,
-    "actuators.type": types.ACTUATOR_ADAPTERS,
-    "airspeed.type": types.AIRSPEED_READERS,
-    "armed.type": types.ARMED_READERS,
-}
-
-
-@pytest.mark.parametrize("setting", TYPE_SETTINGS)
-def test_the_types_that_are_read_are_the_choices_of_a_setting(setting: str) -> None:
-    known: dict[str, Any] = TYPE_SETTINGS[setting]
-    optional = setting in ("airspeed.type", "armed.type")
-    for name in (*known, *[""] * optional):
-        assert Settings.from_values({setting: name}).values()[setting] == name
-    names = ", ".join(['""'] * optional + [*known])
-    first, *_, last = known
-    with pytest.raises(SettingsError) as error:
-        Settings.from_values({setting: last[:-1]})
-    assert str(error.value) == (
-        f"'{setting}' is '{last[:-1]}': allowed are {names}; did you mean '{last}'?"
-    )
-    if not optional:
-        with pytest.raises(SettingsError, match=f"'{setting}' is '': allowed are {first}"):
-            Settings.from_values({setting: ""})
-
-
-OWN = "my_msgs/msg/Gyro"
-
-
-def test_a_type_of_the_author_is_a_choice_of_settings_and_streams(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def read(message: Any) -> RatesReading:
-        return RatesReading(STAMP_NS, message, None, "")
-
-    stream = next(stream for stream in STREAMS if stream.setting == "imu.type")
-    monkeypatch.setitem(types.RATE_ADAPTERS, OWN, types.RatesAdapter(read, frd=True))
-    settings = Settings.from_values({"imu.type": OWN, "imu.convention": "frd"})
-    assert stream.type_of(settings) == OWN and OWN in stream.types
-    assert stream.reader(settings)((1.0, 2.0, 3.0)) == (STAMP_NS, ((1.0, 2.0, 3.0), None))
-    with pytest.raises(types.ChannelError, match=r"set imu\.convention to 'frd'"):
-        stream.reader(Settings.from_values({"imu.type": OWN}))((1.0, 2.0, 3.0))
-    with pytest.raises(SettingsError, match=f"did you mean '{OWN}'"):
-        Settings.from_values({"imu.type": f"{OWN}s"})
-    monkeypatch.undo()
-    with pytest.raises(SettingsError, match=OWN):
-        Settings.from_values({"imu.type": OWN})
+@pytest.mark.parametrize("stream", [s for s in STREAMS if s.setting], ids=lambda s: s.name)
+def test_the_types_that_are_read_are_the_choices_of_a_setting(stream: Stream) -> None:
+    setting, words = stream.setting, [*[""] * stream.optional, *stream.types]
+    for name in words:
+        assert stream.type_of(Settings.from_values({setting: name})) == name
+    *_, last = words
+    for wrong, hint in [(last[:-1], f"; did you mean '{last}'?")] + [("", "")] * ("" not in words):
+        with pytest.raises(SettingsError) as error:
+            Settings.from_values({setting: wrong})
+        names = ", ".join(word or '""' for word in words)
+        assert str(error.value) == f"'{setting}' is '{wrong}': allowed are {names}{hint}"
 
 
 def joints(name: list[str], position: list[float], **more: Any) -> SimpleNamespace:
