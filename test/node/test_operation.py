@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from recordings import (
     ACTUATORS_TOPIC,
     NODE,
@@ -45,15 +45,6 @@ def player(shared: Player) -> Player:
     return shared
 
 
-def test_reset_starts_cold(flight: Recording, player: Player) -> None:
-    player.play_in_step(flight.messages)
-    first = player.ticks()
-    assert player.call(Trigger, "reset").success
-    player.play_in_step(flight.messages)
-    assert len(first) > 80
-    assert player.ticks() == first
-
-
 def test_save_writes_the_published_coefficients_and_diagnostics_score_them(
     flight: Recording, player: Player
 ) -> None:
@@ -81,14 +72,10 @@ def test_save_writes_the_published_coefficients_and_diagnostics_score_them(
     assert 0.0 < max(excitation) <= 1.0, excitation
     assert values["changed in flight"] == "nothing"
     assert 0.0 < float(values["ticks: update time p99 [ms]"]) < 1000.0
-    for stream, topic in (
-        ("rates", RATES_TOPIC),
-        ("actuators", ACTUATORS_TOPIC),
-    ):
+    for stream, topic in (("rates", RATES_TOPIC), ("actuators", ACTUATORS_TOPIC)):
         assert values[f"{stream}: topic"] == topic
-        assert int(values[f"{stream}: messages"]) >= 2 * sum(
-            m.topic == topic for m in flight.messages
-        )
+        count = sum(message.topic == topic for message in flight.messages)
+        assert int(values[f"{stream}: messages"]) >= 2 * count
 
 
 def test_adapt_switches_learning_off_and_on(flight: Recording, player: Player) -> None:
@@ -104,16 +91,16 @@ def test_adapt_switches_learning_off_and_on(flight: Recording, player: Player) -
 
 
 def test_quality_of_service_is_as_contracted(flight: Recording, player: Player) -> None:
-    def profile(topic: str) -> QoSProfile:
+    latched, volatile = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+    for topic, durability in {
+        "coefficients_named": latched,
+        "coefficients": latched,
+        "predicted_rates": volatile,
+        "prediction_error": volatile,
+    }.items():
         (end,) = player.node.get_publishers_info_by_topic(f"{NODE}/{topic}")
-        return end.qos_profile
-
-    for name in ("coefficients_named", "coefficients"):
-        assert profile(name).reliability == ReliabilityPolicy.RELIABLE
-        assert profile(name).durability == DurabilityPolicy.TRANSIENT_LOCAL
-    for name in ("predicted_rates", "prediction_error"):
-        assert profile(name).reliability == ReliabilityPolicy.RELIABLE
-        assert profile(name).durability == DurabilityPolicy.VOLATILE
+        assert end.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        assert end.qos_profile.durability == durability
     for topic in flight.types:
         (used,) = player.node.get_subscriptions_info_by_topic(topic)
         assert used.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
