@@ -285,41 +285,33 @@ def nominal(**values: float) -> Coefficients:
     return Coefficients.from_message(message(**values))
 
 
-def da(source: CoefficientSource, t_ns: int = START) -> tuple[str, float]:
-    chosen = source.model(t_ns)
+def da(source: CoefficientSource, t_ns: int = START) -> tuple[str, float] | str:
+    """Return the source of the model in use and its pdot/da, or the reason of a refusal."""
+    try:
+        chosen = source.model(t_ns)
+    except Refusal as refusal:
+        return str(refusal)
     return chosen.source, float(chosen.values[AUGMENTED.index("pdot/da")])
 
 
-def test_absent_unusable_and_old_coefficients_are_refused_with_a_reason() -> None:
-    source = CoefficientSource(Fallback.REFUSE, nominal())
-    with pytest.raises(Refusal, match="no coefficients yet"):
-        source.model(START)
-    source.take(message(usable=False))
-    with pytest.raises(Refusal, match="not usable"):
-        source.model(START)
-    source.take(message(t_ns=START + SECOND))
-    with pytest.raises(Refusal, match=r"more than 0.5 s old"):
-        source.model(START + 2 * SECOND)
-    assert source.model(START + SECOND).source == "identified"
-
-
-@pytest.mark.parametrize(
-    ("fallback", "kept"),
-    [(Fallback.LAST_GOOD, ("last good", 29.5)), (Fallback.NOMINAL, ("nominal", 25.0))],
-)
-def test_the_fallback_replaces_unusable_coefficients(
-    fallback: Fallback, kept: tuple[str, float]
-) -> None:
+@pytest.mark.parametrize("fallback", Fallback)
+def test_absent_unusable_and_old_coefficients_are_replaced_or_refused(fallback: Fallback) -> None:
     """The last good set is the nominal one until a message is usable."""
-    source = CoefficientSource(fallback, nominal(pdot_da=25.0))
-    assert da(source) == ("nominal", 25.0)
+    source, refused = CoefficientSource(fallback, nominal(pdot_da=25.0)), fallback.value == "refuse"
+    first = ("nominal", 25.0)
+    kept = ("last good", 29.5) if fallback is Fallback.LAST_GOOD else first
+    unusable, old = "the identifier's verdict is 'not usable'", "the coefficients are more than 0.5"
+    assert da(source) == ("there are no coefficients yet" if refused else first)
     source.take(message(usable=False))
-    assert da(source) == ("nominal", 25.0)
+    assert da(source) == (unusable if refused else first)
     source.take(message(t_ns=START + 1))
     assert da(source, START + 1) == ("identified", 29.5)
     source.take(message(t_ns=START + 2, usable=False, pdot_da=10.0))
-    assert da(source, START + 2) == kept
-    assert da(source, START + 9 * SECOND) == kept
+    assert da(source, START + 2) == (unusable if refused else kept)
+    assert da(source, START + 9 * SECOND) == (f"{old} s old" if refused else kept)
+
+
+def test_a_nominal_fallback_needs_a_nominal_set() -> None:
     with pytest.raises(ValueError, match="needs the nominal coefficients"):
         CoefficientSource(Fallback.NOMINAL)
 
