@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The service ``~/excite``, the topic ``~/excitation`` over DDS, and its addition."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from estimates import estimate_of
+from excerpts import summary
 from programs import PATIENCE
 from recordings import NODE, Fly, Player, Recording, change, encoded, recording
 from sensor_msgs.msg import JointState
@@ -123,8 +123,7 @@ def test_a_replay_reads_the_excitation_and_equals_the_live_node_to_the_bit(
     both = sorted([*flight.messages, *words], key=lambda message: message.log_ns)
     types = {**flight.types, topic: JOINT_STATE}
     offline = replace(flight, messages=both, types=types).replayed(tmp_path)
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["inputs"]["excitation"]["dropped"] == {}
+    assert summary(tmp_path / "out")["inputs"]["excitation"]["dropped"] == {}
     common = sorted(offline.keys() & live.keys())
     assert len(common) > 140
     assert {t: offline[t] for t in common} == {t: live[t] for t in common}
