@@ -222,21 +222,16 @@ def replayed(
     return status, excerpts.summary(output) if status != NO_RESULT else {}
 
 
-@pytest.mark.parametrize("hole", [True, False])
 def test_replay_of_a_damaged_bag_notes_the_damage_and_is_usable(
-    hole: bool, warm: Path, tmp_path: Path, capsys: Capture
+    warm: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     damaged = excerpts.rewritten(tmp_path / "flight.mcap", seconds=12.0)
-    if hole:
-        position, length = chunk_places(damaged)[6]
-        spoil(damaged, position + length // 2)
-    else:
-        damaged.write_bytes(damaged.read_bytes()[:-200_000])
+    position, length = chunk_places(damaged)[6]
+    spoil(damaged, position + length // 2)
     status, summary = replayed(damaged, tmp_path / "out", by=warm)
     assert status == USABLE
     (note,) = summary["notes"]
-    words = "is damaged: 1 of " if hole else "is cut off at its end; "
-    assert note.startswith(f"'flight.mcap' {words}")
+    assert note.startswith("'flight.mcap' is damaged: 1 of ")
     assert f"note: {note[:60]}" in capsys.readouterr().out
     assert summary["ticks"] > 150
     assert summary["judged_ns"] == summary["last_tick_ns"]
