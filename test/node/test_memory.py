@@ -4,7 +4,7 @@
 import os
 import re
 import signal
-import time
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import rclpy.logging
 from estimates import estimate_of
-from programs import Capture, wait_for
+from programs import PATIENCE, Capture, wait_for
 from recordings import NODE, Fly, recording
 from std_srvs.srv import Trigger
 
@@ -196,13 +196,13 @@ def test_unusable_coefficients_replace_usable_ones_only_after_a_reset(path: Path
 def test_a_write_that_fails_late_leaves_nothing_to_protect(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    failed: list[Path] = []
+    answered, failed = threading.Event(), list[Path]()
 
     def fail_once(values: CoefficientSet, target: Path, notes: Notes) -> None:
         if failed:
             return save_coefficients(values, target, notes)
         failed.append(target)
-        time.sleep(0.1)
+        answered.wait(PATIENCE)
         raise CoefficientsFileError("the disk is full")
 
     monkeypatch.setattr(memory, "save_coefficients", fail_once)
@@ -210,6 +210,7 @@ def test_a_write_that_fails_late_leaves_nothing_to_protect(
     vehicle = Vehicle(path)
     vehicle.learn(1.0)
     assert vehicle.memory.save(vehicle.estimate(usable=True)) == (True, f"writing '{path}'")
+    answered.set()
     vehicle.memory.finish(vehicle.estimate(usable=False))
     assert load_with_notes(path)[1].usable is False
 
