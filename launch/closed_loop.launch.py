@@ -18,6 +18,7 @@ from uav_ident_ros.launching import (
     flag,
     in_config,
     node,
+    value,
 )
 
 
@@ -28,8 +29,8 @@ def generate_launch_description() -> LaunchDescription:
         "simulated_plant",
         "simulated_plant",
         {
-            "duration": ParameterValue(LaunchConfiguration("duration"), value_type=float),
-            "seed": ParameterValue(LaunchConfiguration("seed"), value_type=int),
+            "duration": value("duration", float),
+            "seed": value("seed", int),
             # a list: launch_ros would parse a fault, with its colon, as a YAML mapping
             "faults": ParameterValue(
                 ["['", LaunchConfiguration("fault"), "']"], value_type=list[str]
@@ -44,14 +45,10 @@ def generate_launch_description() -> LaunchDescription:
             {
                 "nominal_file": coefficients,
                 "mode": LaunchConfiguration("mode"),
-                "use_verdict": ParameterValue(LaunchConfiguration("use_verdict"), value_type=bool),
+                "use_verdict": value("use_verdict", bool),
             },
         ),
-        node(
-            "rate_reference",
-            "rate_reference",
-            {"seed": ParameterValue(LaunchConfiguration("seed"), value_type=int)},
-        ),
+        node("rate_reference", "rate_reference", {"seed": value("seed", int)}),
     ]
     landed = OnProcessExit(target_action=plant, on_exit=Shutdown(reason="the flight is over"))
     return LaunchDescription(

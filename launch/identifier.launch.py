@@ -7,7 +7,6 @@ ros2 launch uav_ident_ros identifier.launch.py params_file:=/path/to/vehicle.yam
 
 from launch import LaunchDescription
 from launch.substitutions import LaunchConfiguration
-from launch_ros.parameter_descriptions import ParameterValue
 
 from uav_ident_ros.launching import (
     common_arguments,
@@ -18,6 +17,7 @@ from uav_ident_ros.launching import (
     node,
     remappings,
     topic_arguments,
+    value,
 )
 
 RESPAWN_DELAY = 1.0
@@ -26,11 +26,10 @@ RESPAWN_DELAY = 1.0
 
 def generate_launch_description() -> LaunchDescription:
     """Return the launch description."""
-    sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
     identifier = node(
         "identifier",
         "identifier",
-        {"use_sim_time": sim_time},
+        {"use_sim_time": value("use_sim_time", bool)},
         remappings=remappings(),
         respawn=LaunchConfiguration("respawn"),
         respawn_delay=RESPAWN_DELAY,

@@ -86,7 +86,7 @@ identifier:
   identifier:
     ros__parameters: {nested_namespace: 1.5}
 /drone1/identifier:
-  ros__parameters: {qualified: 2.5, use_sim_time: true}
+  ros__parameters: {qualified: 2.5}
 /*:
   ros__parameters: {top_level: a}
 /**:
@@ -132,7 +132,7 @@ def test_values_equal_those_of_rclpy(tmp_path: Path) -> None:
     for namespace, live in zip(
         namespaces, rclpy_nodes(*((path, n) for n in namespaces)), strict=True
     ):
-        mine = ParameterFile.read(path).values_for(f"{namespace.rstrip('/')}/identifier")
+        mine = load_parameters(path, f"{namespace.rstrip('/')}/identifier")
         assert {name: repr(value) for name, value in mine.items()} == live, namespace
 
 

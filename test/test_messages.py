@@ -16,7 +16,7 @@ from uav_ident_ros.identification.samples import ARMED
 from uav_ident_ros.identification.settings import Settings, SettingsError
 from uav_ident_ros.messages import types
 from uav_ident_ros.messages.feed import Feed, decode_imu_cdr
-from uav_ident_ros.messages.streams import STREAMS
+from uav_ident_ros.messages.streams import STREAMS, Stream
 from uav_ident_ros.messages.types import RatesReading
 
 STAMP_NS = 1_700_000_001_250_000_003
@@ -67,15 +67,22 @@ ACTUATOR_MESSAGES: dict[str, tuple[Any, int | None]] = {
 }  # fmt: skip
 
 SAMPLED = RatesReading(PX4_US * 1000, (1.0, 2.0, 3.0), None, "")
-RATES_MESSAGES: dict[str, tuple[Any, RatesReading]] = {
-    "sensor_msgs/msg/Imu": (
-        imu(), RatesReading(STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), "base_link")),
-    "px4_msgs/msg/VehicleAngularVelocity": (M(**PX4, xyz=[1.0, 2.0, 3.0]), SAMPLED),
-    "px4_msgs/msg/SensorCombined": (
-        M(timestamp=PX4_US, gyro_rad=np.array([1.0, 2.0, 3.0]), accelerometer_timestamp_relative=0,
-            accelerometer_m_s2=np.array([4.0, 5.0, 6.0])),
+FORCED = {
+    "gyro_rad": np.array([1.0, 2.0, 3.0]),
+    "accelerometer_m_s2": np.array([4.0, 5.0, 6.0]),
+}
+RATES_MESSAGES = [
+    ("sensor_msgs/msg/Imu", imu(),
+        RatesReading(STAMP_NS, (0.1, -0.2, 0.3), (1.0, 2.0, 9.8), "base_link")),
+    ("px4_msgs/msg/VehicleAngularVelocity", M(**PX4, xyz=[1.0, 2.0, 3.0]), SAMPLED),
+    ("px4_msgs/msg/VehicleAngularVelocity",
+        M(timestamp=PX4_US, timestamp_sample=0, xyz=[1.0, 2.0, 3.0]), SAMPLED),
+    ("px4_msgs/msg/SensorCombined",
+        M(timestamp=PX4_US, accelerometer_timestamp_relative=0, **FORCED),
         SAMPLED._replace(specific_force=(4.0, 5.0, 6.0))),
-}  # fmt: skip
+    ("px4_msgs/msg/SensorCombined",
+        M(timestamp=PX4_US, accelerometer_timestamp_relative=0x7FFFFFFF, **FORCED), SAMPLED),
+]  # fmt: skip
 
 OPTIONAL = [
     ("std_msgs/msg/Float64", M(data=21.5), (None, 21.5)),
@@ -100,10 +107,10 @@ def reader(**actuators: Any) -> types.ActuatorReader:
 
 
 def test_every_declared_type_is_read() -> None:
-    assert types.RATE_ADAPTERS.keys() == RATES_MESSAGES.keys()
+    assert types.RATE_ADAPTERS.keys() == {name for name, _, _ in RATES_MESSAGES}
     assert types.ACTUATOR_ADAPTERS.keys() == ACTUATOR_MESSAGES.keys()
     assert {name for name, _, _ in OPTIONAL} == {*types.AIRSPEED_READERS, *types.ARMED_READERS}
-    for name, (message, expected) in RATES_MESSAGES.items():
+    for name, message, expected in RATES_MESSAGES:
         assert types.RATE_ADAPTERS[name].read(message) == expected, name
     for name, message, (stamp_ns, value) in OPTIONAL:
         assert {**types.AIRSPEED_READERS, **types.ARMED_READERS}[name](message) == (
@@ -114,70 +121,17 @@ def test_every_declared_type_is_read() -> None:
         assert reader(type=name, channels=[3, 0])(message) == (stamp_ns, (0.75, 1.5)), name
 
 
-TYPE_SETTINGS = {
-    "imu.type": types.RATE_ADAPTERS,
-    "actuators.type": types.ACTUATOR_ADAPTERS,
-    "airspeed.type": types.AIRSPEED_READERS,
-    "armed.type": types.ARMED_READERS,
-}
-
-
-@pytest.mark.parametrize("setting", TYPE_SETTINGS)
-def test_the_types_that_are_read_are_the_choices_of_a_setting(setting: str) -> None:
-    known: dict[str, Any] = TYPE_SETTINGS[setting]
-    optional = setting in ("airspeed.type", "armed.type")
-    for name in (*known, *[""] * optional):
-        assert Settings.from_values({setting: name}).values()[setting] == name
-    names = ", ".join(['""'] * optional + [*known])
-    first, *_, last = known
-    with pytest.raises(SettingsError) as error:
-        Settings.from_values({setting: last[:-1]})
-    assert str(error.value) == (
-        f"'{setting}' is '{last[:-1]}': allowed are {names}; did you mean '{last}'?"
-    )
-    if not optional:
-        with pytest.raises(SettingsError, match=f"'{setting}' is '': allowed are {first}"):
-            Settings.from_values({setting: ""})
-
-
-OWN = "my_msgs/msg/Gyro"
-
-
-def test_a_type_of_the_author_is_a_choice_of_settings_and_streams(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def read(message: Any) -> RatesReading:
-        return RatesReading(STAMP_NS, message, None, "")
-
-    stream = next(stream for stream in STREAMS if stream.setting == "imu.type")
-    monkeypatch.setitem(types.RATE_ADAPTERS, OWN, types.RatesAdapter(read, frd=True))
-    settings = Settings.from_values({"imu.type": OWN, "imu.convention": "frd"})
-    assert stream.type_of(settings) == OWN and OWN in stream.types
-    assert stream.reader(settings)((1.0, 2.0, 3.0)) == (STAMP_NS, ((1.0, 2.0, 3.0), None))
-    with pytest.raises(types.ChannelError, match=r"set imu\.convention to 'frd'"):
-        stream.reader(Settings.from_values({"imu.type": OWN}))((1.0, 2.0, 3.0))
-    with pytest.raises(SettingsError, match=f"did you mean '{OWN}'"):
-        Settings.from_values({"imu.type": f"{OWN}s"})
-    monkeypatch.undo()
-    with pytest.raises(SettingsError, match=OWN):
-        Settings.from_values({"imu.type": OWN})
-
-
-def test_px4_rates_have_the_sample_time_and_the_valid_force() -> None:
-    message = M(timestamp=12, timestamp_sample=0, xyz=[1.0, 2.0, 3.0])  # without a sample time
-    read = types.RATE_ADAPTERS["px4_msgs/msg/VehicleAngularVelocity"].read
-    assert read(message) == SAMPLED._replace(stamp_ns=12_000)
-    message, expected = RATES_MESSAGES["px4_msgs/msg/SensorCombined"]
-    invalid = M(**vars(message))
-    invalid.accelerometer_timestamp_relative = types.PX4_RELATIVE_TIMESTAMP_INVALID
-    read = types.RATE_ADAPTERS["px4_msgs/msg/SensorCombined"].read
-    assert read(invalid) == expected._replace(specific_force=None)
-
-
-def test_imu_is_read_without_absent_rates_or_force() -> None:
-    read = types.RATE_ADAPTERS["sensor_msgs/msg/Imu"].read
-    assert read(imu(rates=False)).rates is None
-    assert read(imu(force=False)).specific_force is None
+@pytest.mark.parametrize("stream", [s for s in STREAMS if s.setting], ids=lambda s: s.name)
+def test_the_types_that_are_read_are_the_choices_of_a_setting(stream: Stream) -> None:
+    setting, words = stream.setting, [*[""] * stream.optional, *stream.types]
+    for name in words:
+        assert stream.type_of(Settings.from_values({setting: name})) == name
+    *_, last = words
+    for wrong, hint in [(last[:-1], f"; did you mean '{last}'?")] + [("", "")] * ("" not in words):
+        with pytest.raises(SettingsError) as error:
+            Settings.from_values({setting: wrong})
+        names = ", ".join(word or '""' for word in words)
+        assert str(error.value) == f"'{setting}' is '{wrong}': allowed are {names}{hint}"
 
 
 def joints(name: list[str], position: list[float], **more: Any) -> SimpleNamespace:
@@ -244,16 +198,15 @@ def test_a_frame_is_a_fault_if_it_contradicts_the_convention() -> None:
 
 
 def test_cdr_reader_agrees_with_the_decoder() -> None:
-    for length, little_endian in itertools.product(range(18), (True, False)):
-        message = imu("x" * length)
+    """Also without rates or force, which a covariance of -1 marks as absent."""
+    for length, little_endian, rates, force in itertools.product(range(18), *[(True, False)] * 3):
+        message = imu("x" * length, rates=rates, force=force)
         data = serialized(message, little_endian=little_endian)
         expected = types.RATE_ADAPTERS["sensor_msgs/msg/Imu"].read(message)
         assert decode_imu_cdr(data) == decode_imu_cdr(memoryview(data)) == expected
+        assert (expected.rates is None, expected.specific_force is None) == (not rates, not force)
         for cut in (0, 1, 4, 12, 16, 40, len(data) - 1):
             assert decode_imu_cdr(data[:cut]) is None
-    reading = decode_imu_cdr(serialized(imu(rates=False, force=False)))
-    assert reading is not None
-    assert (reading.rates, reading.specific_force) == (None, None)
 
 
 def test_cdr_reader_returns_none_for_other_encodings() -> None:

@@ -164,14 +164,12 @@ def test_the_documented_systemd_unit_matches_the_node():
     assert "identifier" in console_scripts()
 
 
-def test_entry_points_are_callable_and_shadow_nothing():
+def test_entry_points_shadow_nothing():
+    """That they are callable: the tests of Ctrl-C and of a closed pipe call each."""
     scripts = console_scripts()
     assert {"identifier", "replay", "simulate"} <= set(scripts)  # of the public contract
     # a name that is a keyword cannot be a module, and .venv/bin must not hide a program
     assert not {"import", "watch", "test", "python"} & set(scripts)
-    for target in scripts.values():
-        module, _, function = target.partition(":")
-        assert callable(getattr(importlib.import_module(module), function)), target
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from launch.events.process import ProcessExited
 from launch.some_entities_type import SomeEntitiesType
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterFile
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
 from uav_ident_ros.commandline import USAGE_ERROR
@@ -43,6 +43,11 @@ def argument(
 def flag(name: str, description: str, default: str = "false") -> DeclareLaunchArgument:
     """Return an argument that is true or false."""
     return argument(name, description, default, ["true", "false"])
+
+
+def value(name: str, kind: type) -> ParameterValue:
+    """Return the value of an argument, of this type, for a parameter of a node."""
+    return ParameterValue(LaunchConfiguration(name), value_type=kind)
 
 
 def common_arguments(params_file: PathJoinSubstitution) -> list[DeclareLaunchArgument]:

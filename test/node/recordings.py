@@ -15,7 +15,7 @@ from uav_ident_ros.bags.reading import Bag, Message
 from uav_ident_ros.bags.writing import jazzy_types
 from uav_ident_ros.commandline import NOT_USABLE, USABLE
 from uav_ident_ros.messages.types import header_ns, import_type
-from uav_ident_ros.player import START_UP_NS, NodeOutputs
+from uav_ident_ros.player import START_UP_NS
 from uav_ident_ros.player import Player as PlainPlayer
 from uav_ident_ros.process import NodeProcess
 
@@ -44,6 +44,35 @@ class Player(PlainPlayer):
         start_up_ns = 0 if goes_on else START_UP_NS
         self.play(messages, speed=math.inf, in_step=True, start_up_ns=start_up_ns)
 
+    def ticks(self) -> TickValues:
+        """Return the node's outputs by tick."""
+        out = self.outputs
+        return joined(out.named, out.predicted_rates, out.prediction_error)
+
+    def call(self, kind: Any, service: str, **request: object) -> Any:
+        """Call a service of the node; return its response."""
+        name = f"{NODE}/{service}"
+        client = self.node.create_client(kind, name)
+        self.wait_until(client.service_is_ready, f"service '{name}'")
+        future = client.call_async(kind.Request(**request))
+        self.wait_until(future.done, f"an answer of '{name}'")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def wait_for_status(self) -> None:
+        """Wait for a status after all played messages; the next status may precede them."""
+        wanted = len(self.outputs.status) + 2
+        self.wait_until(lambda: len(self.outputs.status) >= wanted, "two statuses")
+
+    def wait_for_text(self, words: str) -> None:
+        """Wait until the diagnostics contain a text."""
+        self.wait_until(lambda: any(words in s.message for s in self.outputs.status), words)
+
+    def entries(self) -> dict[str, str]:
+        """Return the diagnostics' entries after all played messages."""
+        self.wait_for_status()
+        return {entry.key: entry.value for entry in self.outputs.status[-1].values}
+
 
 Fly = Callable[..., tuple[NodeProcess, Player]]
 
@@ -60,6 +89,18 @@ class Recording:
     def classes(self) -> dict[str, type]:
         return {topic: import_type(name) for topic, name in self.types.items()}
 
+    def part(self, begin: float, end: float) -> list[Message]:
+        """Return the messages between two times after the start, s."""
+        start_ns = self.messages[0].log_ns
+        return [m for m in self.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
+
+    def replayed(self, folder: Path) -> TickValues:
+        """Run `replay` on the messages; return the contents of its bag of estimates."""
+        bag = written(folder / "flight", self.types, self.messages)
+        status = replay(bag, folder / "out", by=self.parameter_file)
+        assert status in (USABLE, NOT_USABLE)
+        return estimates(folder / "out")
+
 
 def recording(name: str, seconds: float) -> Recording:
     """Load the first seconds of a committed bag."""
@@ -69,12 +110,6 @@ def recording(name: str, seconds: float) -> Recording:
         end_ns = bag.start_ns + int(seconds * 1e9)
         messages = [m for m in bag.messages(TOPICS) if m.log_ns <= end_ns]
     return Recording(messages, types, folder / "identifier.yaml")
-
-
-def part(flight: Recording, begin: float, end: float) -> list[Message]:
-    """Return the messages between two times after the start of a recording, s."""
-    start_ns = flight.messages[0].log_ns
-    return [m for m in flight.messages if begin <= (m.log_ns - start_ns) * 1e-9 < end]
 
 
 def encoded(topic: str, log_ns: int, message: Any) -> Message:
@@ -94,41 +129,11 @@ def put(name: str, value: Any) -> Spoil:
     return change
 
 
-def call(player: Player, kind: Any, service: str, **request: object) -> Any:
-    """Call a service of the node; return its response."""
-    name = f"{NODE}/{service}"
-    client = player.node.create_client(kind, name)
-    player.wait_until(client.service_is_ready, f"service '{name}'")
-    future = client.call_async(kind.Request(**request))
-    player.wait_until(future.done, f"an answer of '{name}'")
-    player.node.destroy_client(client)
-    return future.result()
-
-
 def change(player: Player, values: dict[str, object]) -> None:
     """Set parameters of the node while it runs."""
     named = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-    answer = call(player, SetParametersAtomically, "set_parameters_atomically", parameters=named)
+    answer = player.call(SetParametersAtomically, "set_parameters_atomically", parameters=named)
     assert answer.result.successful, answer.result.reason
-
-
-def entries(player: Player) -> dict[str, str]:
-    """Return the diagnostics' entries after all played messages."""
-    wait_for_status(player)
-    return {entry.key: entry.value for entry in player.outputs.status[-1].values}
-
-
-def wait_for_text(player: Player, words: str) -> None:
-    """Wait until the diagnostics contain a text."""
-    player.wait_until(lambda: any(words in s.message for s in player.outputs.status), words)
-
-
-def replayed(flight: Recording, folder: Path) -> TickValues:
-    """Run `replay` on a recording; return the contents of its bag of estimates."""
-    bag = written(folder / "flight", flight.types, flight.messages)
-    status = replay(bag, folder / "out", by=flight.parameter_file)
-    assert status in (USABLE, NOT_USABLE)
-    return estimates(folder / "out")
 
 
 def estimates(folder: Path) -> TickValues:
@@ -136,17 +141,6 @@ def estimates(folder: Path) -> TickValues:
     names = ("coefficients_named", "predicted_rates", "prediction_error")
     found = decoded(folder / "estimates")
     return joined(*([m for _, m in found[f"{NODE}/{name}"]] for name in names))
-
-
-def wait_for_status(player: Player) -> None:
-    """Wait for a status after all played messages; the next status may precede them."""
-    wanted = len(player.outputs.status) + 2
-    player.wait_until(lambda: len(player.outputs.status) >= wanted, "two statuses")
-
-
-def published(outputs: NodeOutputs) -> TickValues:
-    """Return a node's outputs by tick."""
-    return joined(outputs.named, outputs.predicted_rates, outputs.prediction_error)
 
 
 def joined(named: Iterable, predicted: Iterable, error: Iterable) -> TickValues:

@@ -15,7 +15,6 @@ from repository import ROOT
 
 from uav_ident_ros.commandline import INTERRUPTED
 from uav_ident_ros.demo import main
-from uav_ident_ros.offline.job import reserved
 
 PNG = b"\x89PNG"
 
@@ -69,7 +68,3 @@ def test_an_output_that_cannot_be_written_is_refused(tmp_path: Path, capsys: Cap
     bag, output = str(BAGS / "multisine"), tmp_path / "file" / "results"
     line = refusal(main, [bag, "--output", str(output)], capsys)
     assert line == f"demo: cannot write into '{output / 'demo_multisine'}': Not a directory"
-    taken = tmp_path / "demo_multisine"
-    with reserved(taken):
-        line = refusal(main, [bag, "--output", str(tmp_path)], capsys)
-    assert line.startswith(f"demo: another replay writes into '{taken}': wait for its end")

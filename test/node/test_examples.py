@@ -18,17 +18,7 @@ from excerpts import parameter_file, written
 from geometry_msgs.msg import TwistStamped
 from programs import PATIENCE, Capture, python
 from rclpy.serialization import deserialize_message, serialize_message
-from recordings import (
-    RATES_TOPIC,
-    Fly,
-    Player,
-    Recording,
-    estimates,
-    part,
-    published,
-    recording,
-    replayed,
-)
+from recordings import RATES_TOPIC, Fly, Player, Recording, estimates, recording
 from repository import ROOT
 from sensor_msgs.msg import Imu
 
@@ -106,7 +96,7 @@ def test_live_plot_and_read_coefficients_follow_a_running_node(fly: Fly, tmp_pat
         # a counted subscriber may not be connected: play until the plot has enough messages
         for second in range(60):
             if plot.poll() is None:
-                player.play_in_step(part(flight, second, second + 1))
+                player.play_in_step(flight.part(second, second + 1))
         assert plot.wait(PATIENCE) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
     # latched: a late subscriber receives the last message
@@ -151,10 +141,10 @@ def test_a_message_type_of_the_author_gives_the_estimates_of_an_imu(tmp_path: Pa
         with closing(Player(twists.classes, clock=False)) as player:
             player.wait_for_node()
             player.play_in_step(twists.messages)
-            found = published(player.outputs)
+            found = player.ticks()
         node.send_signal(signal.SIGINT)
         assert node.wait(PATIENCE) == 0
-    expected = replayed(with_rates(flight, flight.types[RATES_TOPIC], without_force), tmp_path)
+    expected = with_rates(flight, flight.types[RATES_TOPIC], without_force).replayed(tmp_path)
     assert len(expected) > 50 and found == expected
     bag = written(tmp_path / "twists", twists.types, twists.messages)
     output = tmp_path / "output"

@@ -1,28 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The service ``~/excite``, the topic ``~/excitation`` over DDS, and its addition."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from estimates import estimate_of
+from excerpts import summary
 from programs import PATIENCE
-from recordings import (
-    NODE,
-    Fly,
-    Player,
-    Recording,
-    call,
-    change,
-    encoded,
-    entries,
-    part,
-    published,
-    recording,
-    replayed,
-)
+from recordings import NODE, Fly, Player, Recording, change, encoded, recording
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
@@ -70,12 +57,13 @@ def player(flight: Recording, shared_fly: Fly) -> Player:
 def test_a_run_is_published_tick_by_tick_and_aborted_at_once(
     flight: Recording, player: Player
 ) -> None:
-    received = collect_excitation(player)
-    player.play_in_step(part(flight, 0.0, 2.0))
+    received, excitation = collect_excitation(player), Excitation(limit=[0.1] * 4)
+    subscribe_excitation(player.node, excitation)
+    player.play_in_step(flight.part(0.0, 2.0))
     received.clear()
-    assert call(player, SetBool, "excite", data=True).success
-    assert not call(player, SetBool, "excite", data=True).success
-    player.play_in_step(part(flight, 2.0, 5.0))
+    assert player.call(SetBool, "excite", data=True).success
+    assert not player.call(SetBool, "excite", data=True).success
+    player.play_in_step(flight.part(2.0, 5.0))
     stamps = [header_ns(m) for m in received]
     assert {tuple(m.name) for m in received} == {INPUTS}
     assert set(np.diff(stamps)) == {50 * MS}
@@ -84,35 +72,36 @@ def test_a_run_is_published_tick_by_tick_and_aborted_at_once(
     requested = positions(received)
     assert (np.abs(requested).max(axis=0) > [0.006, 0.012, 0.018, -1.0]).all()
     assert (np.abs(requested).max(axis=0) <= [0.0101, 0.0202, 0.0303, 0.0]).all()
-    values = entries(player)
+    assert np.array_equal(excitation.at(stamps[-1]), requested[-1])  # at a controller
+    values = player.entries()
     assert values["excite: state"] == "running"
     assert float(values["excite: elapsed [s]"]) > 2.0
     assert {"excite: not known yet", "excite: until known [s]"} <= values.keys()
 
     received.clear()
-    answer = call(player, SetBool, "excite", data=False)
+    answer = player.call(SetBool, "excite", data=False)
     assert answer.success and answer.message == "excitation is zero"
     player.wait_until(lambda: len(received) > 0, "zero")
     assert header_ns(received[0]) < stamps[-1]  # the scheduled excitation is cancelled
-    player.play_in_step(part(flight, 5.0, 8.0))
-    assert not positions(received).any()
+    player.play_in_step(flight.part(5.0, 8.0))
+    assert not positions(received).any() and not excitation.at(stamps[-1]).any()
     assert len(received) < 20  # half a second, then no message
-    assert entries(player)["excite: last run"] == "aborted: asked for"
+    assert player.entries()["excite: last run"] == "aborted: asked for"
 
 
 def test_a_run_is_aborted_when_no_input_messages_arrive(flight: Recording, player: Player) -> None:
     received = collect_excitation(player)
-    player.play_in_step(part(flight, 0.0, 2.0))
-    assert call(player, SetBool, "excite", data=True).success
-    now_ns = part(flight, 0.0, 2.0)[-1].log_ns + 100 * MS
+    player.play_in_step(flight.part(0.0, 2.0))
+    assert player.call(SetBool, "excite", data=True).success
+    now_ns = flight.part(0.0, 2.0)[-1].log_ns + 100 * MS
     player.clock.send(now_ns + 220 * MS)
     player.spin_for(0.8)  # a third of a second by the node's clock
     assert not received
     for k in range(22, 60):  # time alone advances
         player.clock.send(now_ns + k * 10 * MS)
         player.spin_for(0.02)
-    player.wait_until(lambda: entries(player)["excite: state"] == "idle", "the end of the run")
-    assert "no ticks any more" in entries(player)["excite: last run"]
+    player.wait_until(lambda: player.entries()["excite: state"] == "idle", "the end of the run")
+    assert "no ticks any more" in player.entries()["excite: last run"]
     assert not positions(received[-1:]).any()
 
 
@@ -121,11 +110,11 @@ def test_a_replay_reads_the_excitation_and_equals_the_live_node_to_the_bit(
 ) -> None:
     """The live node applies its excitation directly, the replay by messages."""
     received = collect_excitation(player)
-    player.play_in_step(part(flight, 0.0, 2.0))
-    live = published(player.outputs)
-    assert call(player, SetBool, "excite", data=True).success
-    player.play_in_step(part(flight, 2.0, 8.0))
-    live |= published(player.outputs)
+    player.play_in_step(flight.part(0.0, 2.0))
+    live = player.ticks()
+    assert player.call(SetBool, "excite", data=True).success
+    player.play_in_step(flight.part(2.0, 8.0))
+    live |= player.ticks()
     topic = f"{NODE}/excitation"
     # earliest publication: with its tick, `input_wait` later
     words = []
@@ -135,21 +124,20 @@ def test_a_replay_reads_the_excitation_and_equals_the_live_node_to_the_bit(
     assert len(words) > 100 and positions(received).any()
     both = sorted([*flight.messages, *words], key=lambda message: message.log_ns)
     types = {**flight.types, topic: JOINT_STATE}
-    offline = replayed(replace(flight, messages=both, types=types), tmp_path)
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["inputs"]["excitation"]["dropped"] == {}
+    offline = replace(flight, messages=both, types=types).replayed(tmp_path)
+    assert summary(tmp_path / "out")["inputs"]["excitation"]["dropped"] == {}
     common = sorted(offline.keys() & live.keys())
     assert len(common) > 140
     assert {t: offline[t] for t in common} == {t: live[t] for t in common}
 
 
 def test_a_probe_measures_the_control_derivatives(flight: Recording, player: Player) -> None:
-    player.play_in_step(part(flight, 0.0, 2.0))
-    call(player, SetBool, "excite", data=False)
+    player.play_in_step(flight.part(0.0, 2.0))
+    player.call(SetBool, "excite", data=False)
     change(player, {"excitation.form": "probe", "excitation.band": [1.0, 5.0]})
-    assert call(player, SetBool, "excite", data=True).success
-    player.play_in_step(part(flight, 2.0, 8.0))
-    values = entries(player)
+    assert player.call(SetBool, "excite", data=True).success
+    player.play_in_step(flight.part(2.0, 8.0))
+    values = player.entries()
     assert values["excite: last run"].startswith("complete")
     for name, coefficient, true in (("da", "pdot/da", 59.9), ("de", "qdot/de", -39.6)):
         label, _, value, *_ = values[f"excite: effect of {name}"].split()
@@ -159,13 +147,13 @@ def test_a_probe_measures_the_control_derivatives(flight: Recording, player: Pla
 def test_a_run_is_aborted_between_a_restart_of_the_filters_and_the_next_sample(
     flight: Recording, player: Player
 ) -> None:
-    player.play_in_step(part(flight, 0.0, 2.0))
-    call(player, SetBool, "excite", data=False)
-    assert call(player, SetBool, "excite", data=True).success
+    player.play_in_step(flight.part(0.0, 2.0))
+    player.call(SetBool, "excite", data=False)
+    assert player.call(SetBool, "excite", data=True).success
     change(player, {"filter.cutoff": 14.0})
-    answer = call(player, SetBool, "excite", data=False)
+    answer = player.call(SetBool, "excite", data=False)
     assert answer.success and answer.message == "excitation is zero"
-    assert entries(player)["internal errors"] == "0"
+    assert player.entries()["internal errors"] == "0"
 
 
 def test_the_own_signal_counts_only_while_nobody_else_publishes_one(
@@ -206,24 +194,8 @@ def test_excitation_is_refused_without_ticks_and_at_too_low_an_update_rate(
     assert slowest_ticks(3.0) == 12.0  # four in a cycle
     assert slowest_ticks(1.0) == 2.0 / EXCITATION_TIMEOUT  # one may be lost
     _, player = fly(flight, parameters={**PARAMETERS, "update_rate": "10.0"}, sim_time=True)
-    answer = call(player, SetBool, "excite", data=True)
+    answer = player.call(SetBool, "excite", data=True)
     assert not answer.success and "not started: there are no ticks" in answer.message
-    player.play_in_step(part(flight, 0.0, 2.0))
-    answer = call(player, SetBool, "excite", data=True)
+    player.play_in_step(flight.part(0.0, 2.0))
+    answer = player.call(SetBool, "excite", data=True)
     assert not answer.success and answer.message.endswith("need 12 Hz")
-
-
-def test_the_excitation_ends_when_the_node_is_killed(flight: Recording, fly: Fly) -> None:
-    node, player = fly(flight, parameters=PARAMETERS, sim_time=True)
-    excitation = Excitation(limit=[0.1] * 4)
-    subscribe_excitation(player.node, excitation)
-    player.play_in_step(part(flight, 0.0, 2.0))
-    assert call(player, SetBool, "excite", data=True).success
-    player.play_in_step(part(flight, 2.0, 5.0))
-    killed_ns = part(flight, 2.0, 5.0)[-1].log_ns
-    node.kill()
-    node.wait()
-    player.spin_for(0.5)  # messages may still be on their way
-    on = [t for t in range(2000) if excitation.at(killed_ns + t * MS).any()]
-    assert on[0] < 50
-    assert on[-1] <= 1000 * (Settings().excitation.lead + EXCITATION_TIMEOUT)

@@ -7,18 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
-from recordings import (
-    ACTUATORS_TOPIC,
-    RATES_TOPIC,
-    Fly,
-    Recording,
-    Spoil,
-    entries,
-    published,
-    put,
-    recording,
-    replayed,
-)
+from recordings import ACTUATORS_TOPIC, RATES_TOPIC, Fly, Recording, Spoil, put, recording
 
 from uav_ident_ros.bags.reading import Message
 from uav_ident_ros.messages.types import header_ns
@@ -94,8 +83,8 @@ def test_bad_messages_have_no_effect_on_the_estimate(fly: Fly, tmp_path: Path) -
     node, player = fly(flight)
     played = list(with_bad_messages(flight))
     player.play_in_step([message for message, _ in played])
-    values = entries(player)
-    assert published(player.outputs) == replayed(flight, tmp_path)
+    values = player.entries()
+    assert player.ticks() == flight.replayed(tmp_path)
     for stream, topic in (("rates", RATES_TOPIC), ("actuators", ACTUATORS_TOPIC)):
         reasons = [reason for message, reason in played if reason and message.topic == topic]
         counted = {name: int(n) for name, n in values.items() if f"{stream}: dropped: " in name}

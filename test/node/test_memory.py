@@ -4,6 +4,7 @@
 import os
 import re
 import signal
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -13,11 +14,16 @@ import numpy as np
 import pytest
 import rclpy.logging
 from estimates import estimate_of
-from programs import Capture, wait_for
-from recordings import NODE, Fly, call, recording
+from programs import PATIENCE, Capture, wait_for
+from recordings import NODE, Fly, recording
 from std_srvs.srv import Trigger
 
-from uav_ident_ros.files.coefficients_file import Notes, load_with_notes, save_coefficients
+from uav_ident_ros.files.coefficients_file import (
+    CoefficientsFileError,
+    Notes,
+    load_with_notes,
+    save_coefficients,
+)
 from uav_ident_ros.identification.estimate import CoefficientSet, Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.settings import Settings
@@ -111,29 +117,26 @@ def test_an_unusable_state_file_is_reported_and_kept_as_refused(
     assert np.array_equal(load_with_notes(path)[0].values, vehicle.values)
 
 
-def test_the_age_of_the_state_file_is_by_the_system_clock(path: Path, capfd: Capture) -> None:
+@pytest.mark.parametrize(("days", "started"), [(1, True), (6, True), (8, False)])
+@pytest.mark.parametrize("noted", [True, False])
+def test_the_age_of_the_state_file_is_by_the_system_clock(
+    path: Path, days: int, started: bool, noted: bool
+) -> None:
     """The message time is 5 ns, as in simulated time, and has no effect."""
-    day = timedelta(days=1)
-    for age, started in ((day, True), (6 * day, True), (8 * day, False)):
-        write(path, coefficients(2.0), saved=NOW - age)
-        vehicle = Vehicle(path)
-        assert vehicle.values.any() == started, age
-    vehicle = Vehicle(path, state_max_age=0.0)
-    assert vehicle.values.any(), "0 stands for never too old"
-    capfd.readouterr()
-    write(path, coefficients(2.0), saved=NOW + day)
-    vehicle = Vehicle(path)
-    assert vehicle.values.any()
+    moment = NOW - timedelta(days=days)
+    write(path, coefficients(2.0), saved=moment if noted else None)
+    # a file without `saved` has the time of its modification
+    os.utime(path, times=(0.0 if noted else moment.timestamp(),) * 2)
+    assert Vehicle(path).values.any() == started
+    assert Vehicle(path, state_max_age=0.0).values.any(), "0 stands for never too old"
+
+
+def test_a_state_file_of_the_future_is_used(path: Path, capfd: Capture) -> None:
+    write(path, coefficients(2.0), saved=NOW + timedelta(days=1))
+    assert Vehicle(path).values.any()
     printed = capfd.readouterr().err
     assert "the computer's clock is 24 h behind" in printed
     assert re.search(rf"started from '{re.escape(str(path))}'$", printed, re.MULTILINE)
-    # a file without `saved` has the time of its modification
-    for age, started in ((1, True), (8, False)):
-        write(path, coefficients(2.0))
-        moment = (NOW - timedelta(days=age)).timestamp()
-        os.utime(path, (moment, moment))
-        vehicle = Vehicle(path)
-        assert vehicle.values.any() == started
 
 
 def test_a_state_file_below_a_file_is_named_as_such(path: Path) -> None:
@@ -190,6 +193,28 @@ def test_unusable_coefficients_replace_usable_ones_only_after_a_reset(path: Path
     assert load_with_notes(path)[0].values.max() == 4.0
 
 
+def test_a_write_that_fails_late_leaves_nothing_to_protect(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answered, failed = threading.Event(), list[Path]()
+
+    def fail_once(values: CoefficientSet, target: Path, notes: Notes) -> None:
+        if failed:
+            return save_coefficients(values, target, notes)
+        failed.append(target)
+        answered.wait(PATIENCE)
+        raise CoefficientsFileError("the disk is full")
+
+    monkeypatch.setattr(memory, "save_coefficients", fail_once)
+    monkeypatch.setattr(memory, "ANSWER_WITHIN", 0.0)
+    vehicle = Vehicle(path)
+    vehicle.learn(1.0)
+    assert vehicle.memory.save(vehicle.estimate(usable=True)) == (True, f"writing '{path}'")
+    answered.set()
+    vehicle.memory.finish(vehicle.estimate(usable=False))
+    assert load_with_notes(path)[1].usable is False
+
+
 def test_temporary_files_of_killed_processes_alone_are_removed(path: Path) -> None:
     write(path, coefficients(2.0), saved=NOW)
     ended, running = 2**22 + 1, os.getpid()  # the first is above every process number
@@ -239,7 +264,7 @@ def test_the_node_starts_cold_from_a_damaged_file_and_warm_from_its_own(
     assert f"started from '{path}', saved" in node.log
     player.play_in_step(flight.messages[:1500])
     assert player.outputs.coefficients[0].data == learned, "the state file wins"
-    assert call(player, Trigger, "reset").success
+    assert player.call(Trigger, "reset").success
     player.play_in_step(flight.messages[:1500])
     mask = STRUCTURE.mask.ravel()
     assert (np.array(player.outputs.coefficients[0].data)[mask] == 0.5).all()

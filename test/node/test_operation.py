@@ -8,9 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
-import recordings
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from recordings import Player
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from recordings import (
+    ACTUATORS_TOPIC,
+    NODE,
+    RATES_TOPIC,
+    Fly,
+    Player,
+    Recording,
+    encoded,
+    recording,
+)
 from std_srvs.srv import SetBool, Trigger
 
 from uav_ident_ros.bags import writing
@@ -20,40 +28,31 @@ from uav_ident_ros.node.identifier_node import MOST_WAITING, IdentifierNode
 
 
 @pytest.fixture(scope="module")
-def flight() -> recordings.Recording:
-    return recordings.recording("multisine", 5.0)
+def flight() -> Recording:
+    return recording("multisine", 5.0)
 
 
 @pytest.fixture(scope="module")
-def shared(flight: recordings.Recording, shared_fly: recordings.Fly) -> Player:
+def shared(flight: Recording, shared_fly: Fly) -> Player:
     return shared_fly(flight)[1]
 
 
 @pytest.fixture
 def player(shared: Player) -> Player:
     """Return a player for a node that starts cold."""
-    assert recordings.call(shared, Trigger, "reset").success
+    assert shared.call(Trigger, "reset").success
     shared.outputs.clear()
     return shared
 
 
-def test_reset_starts_cold(flight: recordings.Recording, player: Player) -> None:
-    player.play_in_step(flight.messages)
-    first = recordings.published(player.outputs)
-    assert recordings.call(player, Trigger, "reset").success
-    player.play_in_step(flight.messages)
-    assert len(first) > 80
-    assert recordings.published(player.outputs) == first
-
-
 def test_save_writes_the_published_coefficients_and_diagnostics_score_them(
-    flight: recordings.Recording, player: Player
+    flight: Recording, player: Player
 ) -> None:
-    nothing = recordings.call(player, Trigger, "save")
+    nothing = player.call(Trigger, "save")
     assert not nothing.success
     assert "no estimate" in nothing.message
     player.play_in_step(flight.messages)
-    answer = recordings.call(player, Trigger, "save")
+    answer = player.call(Trigger, "save")
     assert answer.success, answer.message
     path = Path(answer.message.split("'")[1])
     assert path.parts[-2:] == ("uav_ident_ros", "identifier.yaml")
@@ -63,9 +62,9 @@ def test_save_writes_the_published_coefficients_and_diagnostics_score_them(
     assert np.array_equal(saved.values, dense)
     assert saved.t_ns == player.outputs.newest_ns
 
-    recordings.wait_for_status(player)  # the status timer registers the written file
+    player.wait_for_status()  # the status timer registers the written file
     player.play_in_step(flight.messages)
-    values, newest = recordings.entries(player), player.outputs.named[-1]
+    values, newest = player.entries(), player.outputs.named[-1]
     assert float(values["saved fit p [%]"]) != 0.0
     fit = newest.position[list(newest.name).index("fit/q")]
     assert float(values["fit q [%]"]) == pytest.approx(fit, abs=0.06)
@@ -73,94 +72,79 @@ def test_save_writes_the_published_coefficients_and_diagnostics_score_them(
     assert 0.0 < max(excitation) <= 1.0, excitation
     assert values["changed in flight"] == "nothing"
     assert 0.0 < float(values["ticks: update time p99 [ms]"]) < 1000.0
-    for stream, topic in (
-        ("rates", recordings.RATES_TOPIC),
-        ("actuators", recordings.ACTUATORS_TOPIC),
-    ):
+    for stream, topic in (("rates", RATES_TOPIC), ("actuators", ACTUATORS_TOPIC)):
         assert values[f"{stream}: topic"] == topic
-        assert int(values[f"{stream}: messages"]) >= 2 * sum(
-            m.topic == topic for m in flight.messages
-        )
+        count = sum(message.topic == topic for message in flight.messages)
+        assert int(values[f"{stream}: messages"]) >= 2 * count
 
 
-def test_adapt_switches_learning_off_and_on(flight: recordings.Recording, player: Player) -> None:
-    player.play_in_step(recordings.part(flight, 0.0, 1.5))
+def test_adapt_switches_learning_off_and_on(flight: Recording, player: Player) -> None:
+    player.play_in_step(flight.part(0.0, 1.5))
     learned = player.outputs.coefficients[-1].data
-    assert recordings.call(player, SetBool, "adapt", data=False).success
-    player.play_in_step(recordings.part(flight, 1.5, 3.0))
+    assert player.call(SetBool, "adapt", data=False).success
+    player.play_in_step(flight.part(1.5, 3.0))
     assert {tuple(m.data) for m in player.outputs.coefficients} == {tuple(learned)}
-    recordings.wait_for_text(player, "switched off")
-    assert recordings.call(player, SetBool, "adapt", data=True).success
-    player.play_in_step(recordings.part(flight, 3.0, 4.5))
+    player.wait_for_text("switched off")
+    assert player.call(SetBool, "adapt", data=True).success
+    player.play_in_step(flight.part(3.0, 4.5))
     assert player.outputs.coefficients[-1].data != learned
 
 
-def test_quality_of_service_is_as_contracted(flight: recordings.Recording, player: Player) -> None:
-    def profile(topic: str) -> QoSProfile:
-        (end,) = player.node.get_publishers_info_by_topic(f"{recordings.NODE}/{topic}")
-        return end.qos_profile
-
-    for name in ("coefficients_named", "coefficients"):
-        assert profile(name).reliability == ReliabilityPolicy.RELIABLE
-        assert profile(name).durability == DurabilityPolicy.TRANSIENT_LOCAL
-    for name in ("predicted_rates", "prediction_error"):
-        assert profile(name).reliability == ReliabilityPolicy.RELIABLE
-        assert profile(name).durability == DurabilityPolicy.VOLATILE
+def test_quality_of_service_is_as_contracted(flight: Recording, player: Player) -> None:
+    latched, volatile = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+    for topic, durability in {
+        "coefficients_named": latched,
+        "coefficients": latched,
+        "predicted_rates": volatile,
+        "prediction_error": volatile,
+    }.items():
+        (end,) = player.node.get_publishers_info_by_topic(f"{NODE}/{topic}")
+        assert end.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+        assert end.qos_profile.durability == durability
     for topic in flight.types:
         (used,) = player.node.get_subscriptions_info_by_topic(topic)
         assert used.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
 
 
 AIRSPEED, ARMED = "/airspeed", "/armed"
-TWIST, NUMBER, FLAG = writing.TWIST, "std_msgs/msg/Float64", "std_msgs/msg/Bool"
+NUMBER, FLAG = "std_msgs/msg/Float64", "std_msgs/msg/Bool"
 EVERY = 20
 """Messages of the flight per airspeed: about 12 Hz."""
 
 
-@pytest.mark.parametrize(
-    ("one_clock", "name"),
-    [(True, TWIST), (False, NUMBER)],  # if not, arrivals are years from the recorded stamps
-)
-def test_node_learns_with_an_airspeed_and_only_while_armed(
-    fly: recordings.Fly, one_clock: bool, name: str
-) -> None:
-    plain = recordings.recording("multisine", 6.5)
-    flight = replace(plain, types={**plain.types, AIRSPEED: name, ARMED: FLAG})
-    parameters = {"airspeed.type": name, "armed.type": FLAG}
-    node, player = fly(flight, parameters=parameters, sim_time=one_clock)
+def test_node_learns_with_an_airspeed_and_only_while_armed(fly: Fly) -> None:
+    """Neither has stamps, and arrivals are years from the recorded ones."""
+    plain = recording("multisine", 6.5)
+    flight = replace(plain, types={**plain.types, AIRSPEED: NUMBER, ARMED: FLAG})
+    node, player = fly(flight, parameters={"airspeed.type": NUMBER, "armed.type": FLAG})
     learned = player.outputs.coefficients
     count = dropped = 0
 
     def play(begin: float, end: float, armed: bool) -> None:
         nonlocal count, dropped
-        chosen = recordings.part(flight, begin, end)
-        messages = [recordings.encoded(ARMED, chosen[0].log_ns, writing.plain(FLAG, armed))]
+        chosen = flight.part(begin, end)
+        messages = [encoded(ARMED, chosen[0].log_ns, writing.plain(FLAG, armed))]
         for number, message in enumerate(chosen):
             messages.append(message)
             if number % EVERY == 0:
                 bad = number % (5 * EVERY) == 0
-                speed = math.nan if bad else 20.0
-                word = writing.plain(NUMBER, speed)
-                if name == TWIST:
-                    word = writing.twist_stamped(message.log_ns, (speed, 0.0, 0.0))
-                messages.append(recordings.encoded(AIRSPEED, message.log_ns, word))
+                speed = writing.plain(NUMBER, math.nan if bad else 20.0)
+                messages.append(encoded(AIRSPEED, message.log_ns, speed))
                 count, dropped = count + 1, dropped + bad
         player.play_in_step(messages)
 
-    player.play_in_step(recordings.part(flight, 0.0, 2.0))
-    recordings.wait_for_text(player, "no message on '/airspeed' yet")
+    player.play_in_step(flight.part(0.0, 2.0))
+    player.wait_for_text("no message on '/airspeed' yet")
     play(2.0, 3.5, armed=False)
     assert len({tuple(m.data) for m in learned}) == 1
-    recordings.wait_for_text(player, "not armed")
+    player.wait_for_text("not armed")
     play(3.5, 5.0, armed=True)
     assert learned[-1].data != learned[0].data
     play(5.0, 6.5, armed=False)
     assert learned[-1].data == learned[-20].data
     for topic in (AIRSPEED, ARMED):
-        unstamped = topic == ARMED or name == NUMBER
-        printed = f"'{topic}': its messages carry no time" in node.log
-        assert printed is (unstamped and not one_clock)
-    values = recordings.entries(player)
+        assert f"'{topic}': its messages carry no time" in node.log
+    values = player.entries()
     assert int(values["airspeed: dropped: not finite"]) == dropped
     assert int(values["airspeed: messages"]) == count
     assert "'/armed': message dropped" not in node.log

@@ -15,7 +15,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from recordings import Fly, Player, call, published, recording, replayed
+from recordings import Fly, Player, recording
 from repository import ROOT
 
 from uav_ident_ros.files.parameter_file import load_parameters
@@ -138,7 +138,7 @@ def set_all(player: Player, settings: list[Setting], values: dict[str, Any]) -> 
         value = values[setting.name]
         parameter = Parameter(setting.name, PARAMETER_TYPES[setting.type], value)
         message = parameter.to_parameter_msg()
-        (result,) = call(player, SetParameters, "set_parameters", parameters=[message]).results
+        (result,) = player.call(SetParameters, "set_parameters", parameters=[message]).results
         assert result.successful, (setting.name, result.reason)
 
 
@@ -148,12 +148,12 @@ def test_settings_without_effect_on_the_model_change_no_bit(fly: Fly, tmp_path: 
     _, player = fly(flight)
     half = len(flight.messages) // 2
     player.play_in_step(flight.messages[:half])
-    ticks = published(player.outputs)
+    ticks = player.ticks()
     before = Settings.from_values(load_parameters(flight.parameter_file, "identifier")).values()
     quiet = [s for s in CHANGEABLE if not s.restarts and s.name not in LEARNING]
     set_all(player, quiet, {s.name: other(s, before[s.name]) for s in quiet})
     player.play_in_step(flight.messages[half:])
-    assert ticks | published(player.outputs) == replayed(flight, tmp_path)
+    assert ticks | player.ticks() == flight.replayed(tmp_path)
 
 
 def test_every_change_misses_no_tick_and_the_fit_recovers(fly: Fly) -> None:

@@ -8,18 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from excerpts import excerpt
-from recordings import (
-    NODE,
-    Fly,
-    Player,
-    Recording,
-    part,
-    published,
-    recording,
-    replayed,
-    wait_for_status,
-    wait_for_text,
-)
+from recordings import NODE, Fly, Player, Recording, recording
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -44,7 +33,7 @@ def shared(flight: Recording, shared_fly: Fly) -> tuple[NodeProcess, Player]:
     """Return a node and a player; the node starts cold whenever /clock jumps back."""
     node, player = shared_fly(flight, sim_time=True)
     # /diagnostics uses a steady clock, so it reports a missing /clock
-    wait_for_text(player, "nothing arrives on /clock")
+    player.wait_for_text("nothing arrives on /clock")
     assert "nothing arrives on /clock" in node.log
     assert player.outputs.named == []
     return node, player
@@ -59,24 +48,24 @@ def test_every_value_of_every_tick_equals_the_replay_to_the_bit(
     """
     _, player = shared
     player.play_in_step(flight.messages)
-    offline = replayed(flight, tmp_path)
+    offline = flight.replayed(tmp_path)
     assert len(offline) > 230
-    assert published(player.outputs) == offline
+    assert player.ticks() == offline
 
 
 def test_a_looped_bag_starts_cold_and_a_jump_ahead_keeps_the_coefficients(
     flight: Recording, shared: tuple[NodeProcess, Player]
 ) -> None:
     node, player = shared
-    player.play_in_step(part(flight, 0.0, 5.0))
-    first = published(player.outputs)
-    player.play_in_step(part(flight, 0.0, 5.0))
+    player.play_in_step(flight.part(0.0, 5.0))
+    first = player.ticks()
+    player.play_in_step(flight.part(0.0, 5.0))
     assert "/clock jumped by -5." in node.log
     assert "starting cold" in node.log
     assert len(first) > 80
-    assert published(player.outputs) == first
+    assert player.ticks() == first
     learned = player.outputs.coefficients[-1].data
-    player.play_in_step(part(flight, 9.0, 12.0))
+    player.play_in_step(flight.part(9.0, 12.0))
     assert "filters restart, the coefficients stay" in node.log
     assert player.outputs.coefficients[0].data == learned
     assert player.outputs.coefficients[-1].data != learned
@@ -110,11 +99,11 @@ def test_both_topics_decode_from_their_bytes_by_the_documented_layout(
     flight: Recording, shared: tuple[NodeProcess, Player]
 ) -> None:
     _, player = shared
-    player.play_in_step(part(flight, 0.0, 1.0))
+    player.play_in_step(flight.part(0.0, 1.0))
     raw: dict[str, list[bytes]] = {"coefficients_named": [], "coefficients": []}
     for topic, kind in (("coefficients_named", JointState), ("coefficients", Float64MultiArray)):
         player.node.create_subscription(kind, f"{NODE}/{topic}", raw[topic].append, 100, raw=True)
-    player.play_in_step(part(flight, 1.0, 4.0))
+    player.play_in_step(flight.part(1.0, 4.0))
 
     decoded = player.outputs.named[-1]
     cdr = Cdr(raw["coefficients_named"][-1])
@@ -170,16 +159,3 @@ def test_unstamped_actuators_in_real_time_cost_less_than_a_point(fly: Fly, tmp_p
         if costs[-1] < 1.0:
             return
     pytest.fail(f"the fit differs by {costs} points")
-
-
-def test_playback_without_clock_is_a_fault_that_names_the_option(fly: Fly) -> None:
-    flight = recording("pulses", 3.0)
-    node, player = fly(flight)
-    player.play(flight.messages)
-    wait_for_status(player)
-    faults = [s for s in player.outputs.status if s.message.startswith("fault: ")]
-    assert faults
-    assert "different clocks" in faults[-1].message
-    assert "--clock" in faults[-1].message
-    assert faults[-1].level == b"\x02"
-    assert "--clock" in node.log

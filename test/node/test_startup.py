@@ -35,6 +35,10 @@ WRONG_FILES = [
     ("{", "line 1"),
     ("/uav_ident:\n  ros__parameters:\n    update_rate: 10.0\n",
      "has nothing for node '/identifier': its sections are /uav_ident; write '/identifier:'"),
+    # the format of `ros2 param dump` without a namespace
+    ("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n",
+     "has nothing for node '/drone1/identifier'", "-r", "__ns:=/drone1"),
+    ("", ".yaml': there is no such file"),
 ]  # fmt: skip
 
 WRONG_OF_OTHERS = [
@@ -87,38 +91,24 @@ def called(*cases: tuple[str, list[str]]) -> list[tuple[int, str, str]]:
 def test_wrong_parameters_are_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
     """The cases are parameters, parameter files and stray arguments, with status 2."""
     own = "node.__main__"
-    cases = [
-        (module, ["--ros-args", "-p", given], words_printed)
-        for module, given, words_printed in (
-            *((own, *case) for case in WRONG_PARAMETERS),
-            *WRONG_OF_OTHERS,
-        )
-    ]
-    for number, (text, words_printed) in enumerate(WRONG_FILES):
+    cases = [(own, ["flight.yaml"], "--ros-args --params-file FILE")]
+    wrong = [(own, *case) for case in WRONG_PARAMETERS] + WRONG_OF_OTHERS
+    cases += [(module, ["--ros-args", "-p", given], words) for module, given, words in wrong]
+    for given in ("imu/data=/gyro", "imu/data:=", ":=/gyro"):
+        words = f"remapping '{given}': write FROM:=TO"
+        cases.append((own, ["--ros-args", "-r", given], words))
+    for number, (text, words, *more) in enumerate(WRONG_FILES):
         path = tmp_path / f"{number}.yaml"
-        path.write_text(text, encoding="utf-8")
-        cases.append((own, ["--ros-args", "--params-file", str(path)], words_printed))
-    cases += [
-        (own, ["--ros-args", "--params-file", "none.yaml"], "'none.yaml': there is no such file"),
-        (own, ["flight.yaml"], "--ros-args --params-file FILE"),
-        *(
-            (own, ["--ros-args", "-r", given], f"remapping '{given}': write FROM:=TO")
-            for given in ("imu/data=/gyro", "imu/data:=", ":=/gyro")
-        ),
-    ]
-    dumped = tmp_path / "dumped.yaml"  # format of `ros2 param dump` without a namespace
-    dumped.write_text("/identifier:\n  ros__parameters:\n    update_rate: 10.0\n")
-    arguments = ["--ros-args", "--params-file", str(dumped), "-r", "__ns:=/drone1"]
-    cases.append((own, arguments, "has nothing for node '/drone1/identifier'"))
+        if text:
+            path.write_text(text, encoding="utf-8")
+        cases.append((own, ["--ros-args", "--params-file", str(path), *more], words))
     found = called(*(case[:2] for case in cases))
-    for (module, arguments, wanted), (status, words_printed, printed) in zip(
-        cases, found, strict=True
-    ):
+    names = {own: "identifier", "simulation.plant_node": "simulated_plant"}
+    for (module, arguments, words), (status, errors, printed) in zip(cases, found, strict=True):
         assert (status, printed) == (2, ""), arguments
-        name = {own: "identifier", "simulation.plant_node": "simulated_plant"}
-        program = name.get(module, module.rpartition(".")[2])
-        assert words_printed.startswith(f"{program}: "), arguments
-        assert words_printed.count("\n") == 1 and wanted in words_printed, arguments
+        program = names.get(module, module.rpartition(".")[2])
+        assert errors.startswith(f"{program}: "), arguments
+        assert errors.count("\n") == 1 and words in errors, arguments
 
 
 MISSPELT = """

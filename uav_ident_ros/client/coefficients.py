@@ -29,6 +29,7 @@ from uav_ident_ros.messages.published import (
     STATE_FIELDS,
     STATE_NAMES,
     USABLE_NAME,
+    entry_names,
 )
 from uav_ident_ros.messages.types import NS_PER_S, header_ns
 
@@ -88,11 +89,9 @@ class Coefficients:
             )
         value = dict(zip(message.name, map(float, message.position), strict=True))
         sigma = dict(zip(message.name, map(float, message.effort), strict=True))
-        verdicts = (*FIT_NAMES, USABLE_NAME, *ROW_USABLE_NAMES)
-        structure = _structure_of(value.keys() - {*verdicts, *STATE_NAMES})
-        needed = (*verdicts, *STATE_NAMES) if structure.has_flow else verdicts
-        missing = [name for name in needed if name not in value]
-        if missing:
+        others = {*STATE_NAMES, *FIT_NAMES, USABLE_NAME, *ROW_USABLE_NAMES}
+        structure = _structure_of(value.keys() - others)
+        if missing := [name for name in entry_names(structure) if name not in value]:
             raise MessageError(f"there is no entry '{missing[0]}': is this coefficients_named?")
         values, sigmas = (_matrix(structure, entries) for entries in (value, sigma))
         if not (np.isfinite(values).all() and (sigmas >= 0.0).all()):

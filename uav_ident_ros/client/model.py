@@ -151,18 +151,14 @@ class AttitudeModel:
         u = np.broadcast_to(np.asarray(u, dtype=np.float64), (*state.shape[:-1], 4))
         steps = max(1, math.ceil(dt / LONGEST_STEP))
         parts = list(np.moveaxis(state, -1, 0))
+        f = self._regressors(0.0 * state, u, force)[..., : OWN_COLUMNS.start]
+        drive = list(np.moveaxis(f @ self.values[:, : OWN_COLUMNS.start].T, -1, 0))
+        derivative = rates_derivative(self.values)
         if self.structure.has_flow:
             flow = self._flow_state()
             parts += [np.full(state.shape[:-1], part) for part in flow.down]
-            constant = self.values[:, CONSTANT_COLUMN]
-            rows = u @ self.values[:, INPUT_COLUMNS].T + constant
-            drive = [*np.moveaxis(rows, -1, 0), 1.0 / flow.airspeed, 0.0, 0.0, 0.0]
+            drive += [1.0 / flow.airspeed, 0.0, 0.0, 0.0]
             derivative = flight_derivative(self.values)
-        else:
-            f = self._regressors(0.0 * state, u, force)[..., : OWN_COLUMNS.start]
-            rows = f @ self.values[: len(ROWS), : OWN_COLUMNS.start].T
-            drive = list(np.moveaxis(rows, -1, 0))
-            derivative = rates_derivative(self.values)
         if self.structure.own:
             drive += list(np.moveaxis(u, -1, 0))
             derivative = with_own(derivative, self.values, self.structure)

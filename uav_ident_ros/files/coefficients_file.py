@@ -91,7 +91,7 @@ def save_coefficients(
     """
     # A link is followed: the file that it points to is replaced, not the link.
     target = Path(os.path.realpath(path))
-    temporary = target.with_name(_temporary_name(target.name, os.getpid()))
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
         _check_regular(target)
         text = "".join(f"{line}\n" for line in _lines(coefficients, notes or Notes()))
@@ -108,28 +108,13 @@ def save_coefficients(
         raise CoefficientsFileError(f"cannot write '{path}': {problem(error)}") from None
 
 
-def _temporary_name(name: str, writer: int | str) -> str:
-    """Return the temporary name of file `name` while process `writer` writes it."""
-    return f".{name}.{writer}.tmp"
-
-
 def remove_leftovers(path: Path | str) -> None:
     """Remove the temporary files of `path` that killed processes have left."""
     target = Path(os.path.realpath(path))
-    for left in target.parent.glob(_temporary_name(glob.escape(target.name), "*")):
+    for left in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
         writer = left.name.removesuffix(".tmp").rpartition(".")[2]
-        if writer.isdecimal() and not _is_running(int(writer)):
+        if writer.isdecimal() and not Path("/proc", writer).exists():
             left.unlink(missing_ok=True)
-
-
-def _is_running(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # it belongs to another user
-        return True
-    return True
 
 
 def _sync_folder(folder: Path) -> None:

@@ -74,11 +74,6 @@ class ParameterFile:
             raise ParameterFileError(f"parameter file '{path}': {problem(error)}") from None
         return cls(path, sections, (*repeated,))
 
-    def values_for(self, node: str) -> dict[str, ParameterValue]:
-        """Return the values in the `sections_for` a node; as in rclpy, the last section wins."""
-        sections = (self.sections[section] for section in self.sections_for(node))
-        return {name: value for section in sections for name, value in section.items()}
-
     def sections_for(self, node: str) -> list[str]:
         """Return the sections for a node, ``/drone1/identifier``; an empty file has none.
 
@@ -105,18 +100,20 @@ class ParameterFile:
         ]
 
     def parameters_for(self, node: str) -> dict[str, ParameterValue]:
-        """Return the `values_for` a node, without those of every node (``use_sim_time``)."""
+        """Return the values in the `sections_for` a node; as in rclpy, the last section wins.
+
+        The parameters of every node (``use_sim_time``, ``qos_overrides``) are left out.
+        """
         return {
             name: value
-            for name, value in self.values_for(node).items()
+            for section in self.sections_for(node)
+            for name, value in self.sections[section].items()
             if name not in IGNORED and not name.startswith(QOS_PREFIX)
         }
 
 
 def load_parameters(path: Path | str, node: str) -> dict[str, ParameterValue]:
-    """Return the identifier's parameters in a file for the node named `node`.
-
-    The parameters of every node (``use_sim_time``, ``qos_overrides``) are left out.
+    """Return the parameters in a file for the node named `node`: see `parameters_for`.
 
     Raises
     ------

@@ -124,10 +124,6 @@ def _three(values: Any) -> Vector:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-def _read_px4_angular_velocity(message: Any) -> RatesReading:
-    return RatesReading(px4_ns(message), _three(message.xyz), None, "")
-
-
 PX4_RELATIVE_TIMESTAMP_INVALID = 0x7FFFFFFF
 """SensorCombined: value for no accelerometer sample."""
 
@@ -144,7 +140,9 @@ _NORMALISED = "normalised, -1 to 1"
 RATE_ADAPTERS: dict[str, RatesAdapter] = RATE_TYPES
 RATE_ADAPTERS |= {
     "sensor_msgs/msg/Imu": RatesAdapter(_read_imu),
-    "px4_msgs/msg/VehicleAngularVelocity": RatesAdapter(_read_px4_angular_velocity, frd=True),
+    "px4_msgs/msg/VehicleAngularVelocity": RatesAdapter(
+        lambda m: RatesReading(px4_ns(m), _three(m.xyz), None, ""), frd=True
+    ),
     "px4_msgs/msg/SensorCombined": RatesAdapter(_read_px4_sensor_combined, frd=True),
 }
 """The supported types of the rates topic."""
@@ -180,16 +178,11 @@ def _plain(stamp: Stamp | None, value: Callable[[Any], Any]) -> Callable[[Any], 
     return lambda message: (stamp(message) if stamp else None, value(message))
 
 
-def _speed(message: Any) -> float:
-    v = message.twist.linear
-    return math.hypot(v.x, v.y, v.z)
-
-
 AIRSPEED_READERS: dict[str, Callable[[Any], Reading]] = AIRSPEED_TYPES
 AIRSPEED_READERS |= {
     "std_msgs/msg/Float64": _plain(None, lambda m: float(m.data)),
     "std_msgs/msg/Float32": _plain(None, lambda m: float(m.data)),
-    "geometry_msgs/msg/TwistStamped": _plain(header_ns, _speed),
+    "geometry_msgs/msg/TwistStamped": _plain(header_ns, lambda m: math.hypot(*xyz(m.twist.linear))),
     "mavros_msgs/msg/VfrHud": _plain(header_ns, lambda m: float(m.airspeed)),
     "px4_msgs/msg/AirspeedValidated": _plain(px4_ns, lambda m: float(m.true_airspeed_m_s)),
 }

@@ -111,7 +111,7 @@ class Memory:
         self._path = state_path(identifier.settings, node_name)
         self._refused = False  # Whether the present file is unusable and must be kept as `ASIDE`
         self._disk = ThreadPoolExecutor(1)
-        self._writing: Future[CoefficientSet] | None = None
+        self._writing: Future[tuple[CoefficientSet, bool]] | None = None
         self._last_save = -math.inf
         self.forget()
 
@@ -147,6 +147,7 @@ class Memory:
 
     def forget(self) -> None:
         """Allow any new coefficients to replace the file, after a reset."""
+        self._look(ANSWER_WITHIN)
         self._holds_usable = False
         # coefficients that need no saving: those of the file, or of a cold start
         self._known = self._identifier.coefficient_set()
@@ -160,7 +161,7 @@ class Memory:
             return False, f"there is no file to save to: 'state_file' is '{NO_FILE}'"
         if estimate is None:
             return False, "there is no estimate to save yet"
-        self._look(FINISH_WITHIN if last else 0.0)
+        self._look()
         if self._writing is not None:
             return False, f"the disk does not answer: still writing '{path}'"
         lag, configured = self._identifier.lag, self._identifier.settings.actuators.time_constant
@@ -175,16 +176,17 @@ class Memory:
         self._writing = self._disk.submit(self._write, path, coefficients, notes)
         if failed := self._outcome(None if last else ANSWER_WITHIN):
             return False, failed
-        self._holds_usable = estimate.usable
         return True, f"writing '{path}'" if self._writing else f"saved to '{path}'"
 
-    def _write(self, path: Path, coefficients: CoefficientSet, notes: Notes) -> CoefficientSet:
+    def _write(
+        self, path: Path, coefficients: CoefficientSet, notes: Notes
+    ) -> tuple[CoefficientSet, bool]:
         path.parent.mkdir(parents=True, exist_ok=True)
         if self._refused and path.is_file():
             path.replace(path.with_name(path.name + ASIDE))
         self._refused = False
         save_coefficients(coefficients, path, notes)
-        return coefficients
+        return coefficients, bool(notes.usable)
 
     def _outcome(self, patience: float | None) -> str:
         """Wait for the thread and record its result; return the error, empty if none."""
@@ -192,7 +194,7 @@ class Memory:
             return ""
         done, self._writing = self._writing, None
         try:
-            self._known = done.result()
+            self._known, self._holds_usable = done.result()
         except CoefficientsFileError as error:
             return str(error)
         except FileExistsError as error:  # where the folder should be
@@ -209,30 +211,24 @@ class Memory:
     def attend(self, estimate: Estimate | None, now: float) -> None:
         """Save usable coefficients if due; call it each second with a steady clock's time, s."""
         self._look()
-        period = self._identifier.settings.save_period
-        if estimate is None or not estimate.usable or not 0.0 < period <= now - self._last_save:
-            return
-        self._last_save = now
-        if self._changed(estimate):
-            done, line = self.save(estimate)
-            if not done:
-                self._log.error(line)
+        due = 0.0 < self._identifier.settings.save_period <= now - self._last_save
+        if due and estimate is not None and estimate.usable:
+            self._last_save = now
+            self._save_changes(estimate)
 
     def finish(self, estimate: Estimate | None) -> None:
-        """Write the coefficients at the end of the program."""
-        if estimate is None or not self._changed(estimate):
-            return
-        if self._holds_usable and not estimate.usable:
-            return
-        done, line = self.save(estimate, last=True)
-        if done:
-            self._log.info(line)
-        else:
-            self._log.error(line)
+        """Write the coefficients at the end of the program, after those that are being written."""
+        self._look(FINISH_WITHIN)
+        if estimate is not None and (estimate.usable or not self._holds_usable):
+            self._save_changes(estimate, last=True)
 
-    def _changed(self, estimate: Estimate) -> bool:
-        """Whether there is a state file and the coefficients differ from its content."""
-        if self._path is None:
-            return False
+    def _save_changes(self, estimate: Estimate, *, last: bool = False) -> None:
+        """Save coefficients that differ from those of the file; log a failure, and the end."""
         values = self._identifier.coefficient_set(estimate.t_ns).values
-        return not np.array_equal(values, self._known.values)
+        if self._path is None or np.array_equal(values, self._known.values):
+            return
+        done, line = self.save(estimate, last=last)
+        if not done:
+            self._log.error(line)
+        elif last:
+            self._log.info(line)

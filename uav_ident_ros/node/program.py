@@ -11,12 +11,7 @@ from typing import Any, TypeVar
 
 import rclpy
 import rclpy.logging
-from rclpy.exceptions import (
-    InvalidParameterException,
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
-    NameValidationException,
-)
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity
@@ -45,9 +40,7 @@ REFUSALS = (
     MessageTypeError,
     CoefficientsFileError,
     ParameterFileError,
-    InvalidParameterException,
-    InvalidParameterTypeException,
-    InvalidParameterValueException,
+    ParameterException,
     InvalidQosOverridesError,
     NameValidationException,
     rclpy_implementation.RCLError,
@@ -63,7 +56,7 @@ def explain(error: Exception) -> str:
         return f"unknown ROS arguments {message}"
     # a parameter that rclpy declares itself
     typed = re.search(r"'(.*?)' to '(.*)' of type '\w+', expecting type '(\w+)'", message)
-    if isinstance(error, InvalidParameterTypeException) and typed:
+    if typed:
         name, value, wanted = typed.groups()
         return f"'{name}' is {value}: {_FIXES.get(wanted, f'a {wanted} is needed')}"
     quoted = re.search(r"'(-p|--param|-r|--remap|--params-file) (.*?)'\. Error: (.*)", message)
