@@ -7,7 +7,7 @@ Hypothesis draws the sequences, by the profiles of test/conftest.py.
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -128,45 +128,35 @@ class Fly:
         return tuple(np.where(hostile, chosen, values).tolist())
 
 
-@dataclass
-class SimulatedRun:
-    """An identifier, a clock, and all estimates."""
-
-    identifier: OnlineIdentifier
-    now_ns: int = START_NS
-    estimates: list[Estimate] = field(default_factory=list)
-
-    def update(self) -> None:
-        """Compute all ticks that are due."""
-        self.estimates += self.identifier.advance()
-
-    def apply(self, event: Any) -> None:
-        """Apply an event."""
+def lived(settings: Settings, history: list[Any]) -> tuple[OnlineIdentifier, list[Estimate]]:
+    """Return an identifier after all events, and its estimates."""
+    identifier, now_ns = OnlineIdentifier(settings), START_NS
+    estimates: list[Estimate] = []
+    for event in history:
         match event:
             case Fly():
-                for k, sample in enumerate(event.samples(self.now_ns)):
-                    SentSample(0, *sample).give(self.identifier)
+                for k, sample in enumerate(event.samples(now_ns)):
+                    SentSample(0, *sample).give(identifier)
                     if k % 16 == 0:
-                        self.update()
-                self.now_ns += round(event.seconds * S)
-                self.update()
+                        estimates += identifier.advance()
+                now_ns += round(event.seconds * S)
             case stream, t_ns, values, times:  # five that agree make a time base
                 for k in range(times):
-                    SentSample(0, stream, t_ns + k * MS, values).give(self.identifier)
-                self.update()
+                    SentSample(0, stream, t_ns + k * MS, values).give(identifier)
             case "clock jumps", ns:
-                self.now_ns = max(1, self.now_ns + ns)
+                now_ns = max(1, now_ns + ns)
             case "clock shows", t_ns:
-                self.now_ns = t_ns
+                now_ns = t_ns
             case "adapt", adapt:  # as by services, parameters, jumps of /clock
-                self.identifier.supervisor.adapt = adapt
+                identifier.supervisor.adapt = adapt
             case "resume":
-                learned = self.identifier.coefficient_set(self.now_ns)
-                self.identifier.resume(learned, self.identifier.delay)
+                identifier.resume(identifier.coefficient_set(now_ns), identifier.delay)
             case "note_saved":
-                self.identifier.note_saved(self.identifier.coefficient_set(self.now_ns))
+                identifier.note_saved(identifier.coefficient_set(now_ns))
             case command:
-                getattr(self.identifier, command)()
+                getattr(identifier, command)()
+        estimates += identifier.advance()
+    return identifier, estimates
 
 
 flights = st.builds(
@@ -247,17 +237,13 @@ PAPER = Settings.from_values(
 @example(settings=Settings.from_values({"actuators.estimate_delay": True}), history=SLOW_IMU)
 @given(settings=any_settings, history=histories)
 def test_all_inputs_yield_finite_bounded_estimates(settings: Settings, history: list[Any]) -> None:
-    simulated_run = SimulatedRun(OnlineIdentifier(settings))
-    for event in history:
-        simulated_run.apply(event)
-    stamps = [estimate.t_ns for estimate in simulated_run.estimates]
-    assert all(0 < t_ns <= LATEST_STAMP for t_ns in stamps)
-    for estimate in simulated_run.estimates:
+    identifier, estimates = lived(settings, history)
+    for estimate in estimates:
+        assert 0 < estimate.t_ns <= LATEST_STAMP
         check(estimate, settings)
-    assert np.isfinite(simulated_run.identifier.estimator.information.excitation()).all()
-    assert math.isfinite(simulated_run.identifier.delay)
-    saved = simulated_run.identifier.coefficient_set()
-    assert within(saved.values, LARGEST_NUMBER)
+    assert np.isfinite(identifier.estimator.information.excitation()).all()
+    assert math.isfinite(identifier.delay)
+    assert within(identifier.coefficient_set().values, LARGEST_NUMBER)
 
 
 # --- batching and order -----------------------------------------------------------------------
@@ -283,16 +269,16 @@ def estimates_of(
     settings: Settings, samples: list[Sample], batches: Iterator[int]
 ) -> tuple[list[Estimate], dict[str, Any]]:
     """Return estimates and dropped samples, with ticks computed after batches of samples."""
-    simulated_run = SimulatedRun(OnlineIdentifier(settings))
-    left = next(batches)
+    identifier, left = OnlineIdentifier(settings), next(batches)
+    estimates: list[Estimate] = []
     for sample in samples:
-        SentSample(0, *sample).give(simulated_run.identifier)
+        SentSample(0, *sample).give(identifier)
         left -= 1
         if left <= 0:
-            simulated_run.update()
+            estimates += identifier.advance()
             left = next(batches)
-    simulated_run.update()
-    return simulated_run.estimates, simulated_run.identifier.intake.drops
+    estimates += identifier.advance()
+    return estimates, identifier.intake.drops
 
 
 def exactly(estimate: Estimate) -> tuple[Any, ...]:
