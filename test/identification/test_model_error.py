@@ -17,7 +17,7 @@ from uav_ident_ros.identification.structure import MAIN_DERIVATIVES, STRUCTURES
 STRUCTURE = STRUCTURES["augmented"]
 LAYOUT = layout(STRUCTURE)
 DT, EVERYWHERE, OPEN_LOOP = 0.05, np.ones(3), np.zeros(3)
-ROLL_RATE, YAW_RATE, RUDDER, AILERON = 5, 7, 9, 10
+ROLL_RATE, YAW_RATE, ELEVATOR, RUDDER, AILERON = 5, 7, 8, 9, 10
 YAW = 2
 DAMPING, EFFECT = -6.0, 40.0
 UNDAMPED = np.zeros(3)
@@ -30,10 +30,11 @@ def by_aileron(
     pdot: np.ndarray,
     p: np.ndarray | float = 0.0,
     residual: np.ndarray | None = None,  # Residual, if not `pdot`
+    axis: int = 0,  # 1 for a pitching motion by the elevator
 ) -> RowSamples:
     """Samples of a roll with aileron command u."""
     y, f = np.zeros((len(u), 3)), np.zeros((len(u), STRUCTURE.size))
-    y[:, 0], f[:, ROLL_RATE], f[:, AILERON] = pdot, p, u
+    y[:, axis], f[:, ROLL_RATE + axis], f[:, (AILERON, ELEVATOR)[axis]] = pdot, p, u
     left = y if residual is None else np.outer(residual, [1.0, 0.0, 0.0])
     return RowSamples.of(Regression.of(y, f, f, DT), left, LAYOUT)
 
@@ -48,6 +49,7 @@ def rolled(
     play: float = 0.0,
     speed: float = np.inf,
     effect: float = EFFECT,
+    axis: int = 0,
 ) -> RowSamples:
     """Samples of a roll by an aileron with a travel, rad, for 0.1 commanded, and a servo lag, s.
 
@@ -67,7 +69,7 @@ def rolled(
         reached = keep * reached + (1.0 - keep) * moved
         pdot[k] = DAMPING * p[k] + effect * reached + gusts[k]
         p[k + 1] = p[k] + DT * pdot[k]
-    return by_aileron(u, pdot, p[:-1])
+    return by_aileron(u, pdot, p[:-1], axis=axis)
 
 
 def known(effect: np.ndarray = KNOWN, places: Layout = LAYOUT) -> np.ndarray:
@@ -135,6 +137,20 @@ def test_a_saturated_lagging_or_dead_aileron_has_a_model_error(flight: dict[str,
 def test_a_saturation_counts_from_three_sigma_on(travel: float, noise: float, seed: int) -> None:
     """0.43 to 0.59 of the effect are lost, by 3.3 to 3.6 sigma, of which one is subtracted."""
     assert 0.3 < after(rolled(travel=travel, noise=noise, seed=seed)).share[0] < 0.43
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_saturation_counts_in_full_beside_one_of_another_input(seed: int) -> None:
+    """Alone the aileron's has 1.2 to 2.9 sigma. A healthy aileron hardly loses any."""
+    elevator = rolled(travel=0.03, effect=float(KNOWN[1]), axis=1)
+    saturated, healthy = (
+        rolled(travel, noise, seed=seed) for travel, noise in ((0.04, 4.0), (1.0, 0.3))
+    )
+    assert after(saturated).share[0] == 0.0
+    for aileron, least, most in ((saturated, 0.3, 1.0), (healthy, 0.0, 0.05)):
+        found = after(RowSamples(aileron.signals + elevator.signals, DT)).share
+        assert found[1] > 0.3
+        assert least <= found[0] <= most
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

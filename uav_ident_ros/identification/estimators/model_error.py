@@ -102,19 +102,19 @@ class Losses(NamedTuple):
     informative: BoolArray
 
     @property
-    def saturation(self) -> FloatArray:
-        """Loss of each row by saturation, less one sigma, by all pairs, (rows,).
+    def saturation(self) -> tuple[FloatArray, FloatArray]:
+        """Loss of each row by saturation, and its standard deviation, (rows,).
 
         The better determined solution counts. An effect that grows with the deflection, as by a
         dead band, counts alike. Saturation and backlash of opposite signs are nearly a straight
         line: then the rest counts.
         """
-        curved, error = (a[:, _WITH_SATURATION, 0] for a in (self.sure, self.sigma))
+        curved, error = (a[:, _WITH_SATURATION, 0] for a in (self.found, self.sigma))
         backlash, size = self.found[:, _LOOSE, 1], np.abs(curved)
         straight = np.clip(-backlash * np.sign(curved[:, -1]), 0.0, size[:, -1])
         size[:, -1] -= straight
         better = range(len(error)), error.argmin(axis=1)
-        return np.asarray(size[better] - error[better])
+        return size[better], error[better]
 
     def beyond_chance(self, pair: int) -> FloatArray:
         """Return the loss by the second one of a pair beyond its own sigma, (rows,), 0 ... 1."""
@@ -362,10 +362,7 @@ class ModelError:
         rolls = slice(self._force.stop, None)
         if losses.informative[rolls].all():
             self.height = float(losses.size[rolls, 0, 1].sum())
-        saturation, sure = losses.saturation, losses.sure[: len(ROWS)]
-        if self._is_shown_by_force(losses):
-            saturation[_YAW] = saturation[[_YAW, _SIDE_FORCE]].max()
-        saturation = saturation[: len(ROWS)]
+        saturation, sure = self._saturated(losses), losses.sure[: len(ROWS)]
         taken = np.clip(np.stack((saturation, sure[:, 0, 1], sure[:, 1, 0])), 0.0, 1.0)
         self.share = np.where(moments, taken.max(axis=0), self.share)
         self.saturation = np.where(moments, taken[0], self.saturation)
@@ -387,6 +384,20 @@ class ModelError:
     def _is_shown_by_force(self, losses: Losses) -> bool:
         """Return whether the rudder's side force is known and informative."""
         return self._force_is_known and bool(losses.informative[_SIDE_FORCE])
+
+    def _saturated(self, losses: Losses) -> FloatArray:
+        """Return the loss of each row by saturation, (3,).
+
+        If one input in ten saturates, at three sigma a saturation is more likely than none. Beside
+        inputs that saturate, another one does so as likely as not: then the likeliest loss counts.
+        """
+        likely, sigma = losses.saturation
+        sure = np.where(likely > SURE * sigma, likely - sigma, 0.0)
+        if self._is_shown_by_force(losses):
+            sure[_YAW] = sure[[_YAW, _SIDE_FORCE]].max()
+        likely, sure = likely[: len(ROWS)], sure[: len(ROWS)]
+        beside = _OTHERS @ (losses.informative[: len(ROWS)] & (sure > 0.0)) > 0.0
+        return np.where(beside, np.maximum(sure, likely), sure)
 
     def _follow_servos(self, losses: Losses) -> None:
         """Take over backlash and slowness."""
@@ -484,9 +495,7 @@ class ModelError:
         away = np.divide(-extra, whole, out=np.zeros_like(extra), where=whole != 0.0)
         alike = self._alike(scale)
         away *= alike
-        # If one input in ten saturates, at three sigma a saturation is more likely than none.
-        level = np.where(np.array(pairs) == _SATURATION, SURE, DOUBTLESS)
-        sure = extra**2 > level**2 * variance
+        sure = extra**2 > DOUBTLESS**2 * variance
         size = np.where(sure, extra * scale[..., -2:], 0.0)
         main_effect = np.maximum(np.abs(whole[..., 0]), POWERLESS)
         bias, error = (alike * np.sqrt(v) / main_effect[..., None] for v in (answered, variance))
