@@ -8,7 +8,7 @@ import pytest
 from programs import Capture
 
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.simulation.aircraft import STATE_PROPERTIES, differentiate, linearise_cruise
+from uav_ident_ros.simulation.aircraft import STATES, differentiate, linearise_cruise
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import Flight
@@ -39,7 +39,7 @@ def test_the_true_derivatives_predict_the_accelerations_of_every_aircraft(name: 
     truth = linearise_cruise(name).derivatives
     matrix = np.array(
         [
-            [truth[f"{row}/{name}"] for name in (*STATE_PROPERTIES, *INPUTS)]
+            [truth[f"{row}/{name}"] for name in (*STATES, *INPUTS)]
             for row in ("pdot", "qdot", "rdot")
         ]
     )
