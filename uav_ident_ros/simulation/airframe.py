@@ -103,26 +103,23 @@ def airframe(
 
 def _read(path: Path) -> Airframe:
     where = f"aircraft file '{path}'"
+    nested = {"autopilot": (AutopilotGains, f"{where}, autopilot")}
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), TypedLoader)
-    except UNUSABLE as error:
-        raise SimulationError(f"{where}: {problem(error)}") from None
-    if not isinstance(content, dict):
-        raise SimulationError(f"{where} has no entries like 'model: c172p'")
-    nested = {"autopilot": (AutopilotGains, f"{where}, autopilot")}
-    found: Airframe = build(Airframe, {"name": path.stem, **content}, where, nested)
-    if not isinstance(found.model, str):
-        raise SimulationError(f"{where}: model is the number {found.model}: write it in quotes")
-    try:
+        if not isinstance(content, dict):
+            raise EntryError("there are no entries like 'model: c172p'")
+        found: Airframe = build(Airframe, {"name": path.stem, **content}, where, nested)
+        if not isinstance(found.model, str):
+            raise EntryError(f"model is the number {found.model}: write it in quotes")
         peaks = mapping(found.excitation, "excitation", (), INPUTS)
         for key, value in {**vars(found.autopilot), **peaks}.items():
             finite(value, key)
-    except EntryError as error:
-        raise SimulationError(f"{where}: {error}") from None
-    for key in ("speed", "altitude"):
-        value = getattr(found, key)
-        if not (isinstance(value, int | float) and value > 0.0):
-            raise SimulationError(f"{where}: {key} is {value}, not positive")
+        for key in ("speed", "altitude"):
+            value = getattr(found, key)
+            if not (isinstance(value, int | float) and value > 0.0):
+                raise EntryError(f"{key} is {value}, not positive")
+    except UNUSABLE as error:
+        raise SimulationError(f"{where}: {problem(error)}") from None
     folders = [place / found.model for place in (path.resolve().parent, MODELS)]
     own = [str(folder) for folder in folders if (folder / f"{folder.name}.xml").is_file()]
     model, speed, altitude = [*own, found.model][0], float(found.speed), float(found.altitude)

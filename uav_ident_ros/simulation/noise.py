@@ -17,13 +17,10 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, NS_PER_S, RATES_STREAM
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FLU_TO_FRD, FRAME_IDS
-from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError
+from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError, whole_steps
 
 AIRSPEED_RATE = 10.0
 """Rate of a measured airspeed, Hz: about that of PX4 and MAVROS."""
-
-RATE_TOLERANCE = 1e-6
-"""Largest relative error of the Imu rate as a whole fraction of the flight's rate."""
 
 
 def airspeed_step(rate: float) -> int:
@@ -162,7 +159,7 @@ def measure(
 ) -> Measurements:
     """Return the messages of a flight's sensors."""
     sensors = sensors or Sensors()
-    every = _decimation(flight, sensors)
+    every = whole_steps(1.0 / sensors.rate, flight.rate, f"Imu rate {sensors.rate:g} Hz")
     gyro, accelerometer, drops, jitter, delays, pitot = (
         np.random.default_rng([seed, 100 + k]) for k in range(6)
     )
@@ -200,16 +197,6 @@ def measure(
         airspeed_log_ns=_log_times(airspeed_t_ns, sensors.latency, delays),
         airspeed=airspeed + noise * pitot.standard_normal(len(airspeed)),
     )
-
-
-def _decimation(flight: Flight, sensors: Sensors) -> int:
-    every = flight.rate / sensors.rate
-    if round(every) < 1 or abs(every - round(every)) > RATE_TOLERANCE * every:
-        raise SimulationError(
-            f"Imu rate {sensors.rate:g} Hz is no whole fraction of the {flight.rate:g} Hz of "
-            f"flight '{flight.name}'"
-        )
-    return round(every)
 
 
 def _log_times(t_ns: IntArray, latency: float, rng: np.random.Generator) -> IntArray:
