@@ -118,11 +118,16 @@ class Live:
         self._sensors, self.rate = sensors, rate
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(3)]
         self._ahead = deque(sorted(faults, key=lambda fault: fault.time))
+        for fault in faults:
+            self.check(fault)
         self._step = 0
         self._underway: deque[tuple[int, FloatArray]] = deque()
 
+    def check(self, fault: Fault) -> None:
+        """Raise SimulationError if the vehicle cannot have a fault."""
+
     def apply(self, fault: Fault) -> None:
-        """Apply a fault now; raise SimulationError if the vehicle cannot have it."""
+        """Apply a fault now, after a `check`."""
         raise NotImplementedError
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:

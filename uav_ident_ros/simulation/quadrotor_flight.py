@@ -123,15 +123,23 @@ class LiveQuadrotor(Live):
         self.trim = np.array([0.0, 0.0, 0.0, self.body.hover])
         self._commanded: FloatArray = self.trim[:3]
         self.outputs = self._acting = QUADROTOR.trim(self.trim)
-        for fault in faults:
-            _motor(fault)
+
+    def check(self, fault: Fault) -> None:
+        """Refuse a fault of anything but a motor; see `Live.check`."""
+        of_motor = fault.kind == "effect" and fault.what in self.names
+        if not (of_motor or fault.kind == "repaired"):
+            raise SimulationError(
+                f"fault '{fault}': a quadrotor knows 'MOTOR effect FACTOR', of "
+                f"{', '.join(self.names)}, and 'repaired'"
+            )
 
     def apply(self, fault: Fault) -> None:
         """Apply a fault now; see `Live.apply`."""
-        if (motor := _motor(fault)) is None:
-            self.effect = [1.0] * len(QUADROTOR.names)
+        self.check(fault)
+        if fault.kind == "repaired":
+            self.effect = [1.0] * len(self.names)
         else:
-            self.effect[motor] = fault.value or 0.0
+            self.effect[self.names.index(fault.what)] = fault.value or 0.0
 
     def motors(self, inputs: FloatArray) -> FloatArray:
         """Return the motors' commands for de, dr, da, dth, within 0 ... 1."""
@@ -223,18 +231,6 @@ class LiveQuadrotor(Live):
             force[2] + GRAVITY * math.cos(pitch) * math.cos(roll) - p * v + q * u,
             self._sinking,
         ]
-
-
-def _motor(fault: Fault) -> int | None:
-    """Return the index of a fault's motor; None for ``repaired``."""
-    if fault.kind == "repaired":
-        return None
-    if fault.kind != "effect" or fault.what not in QUADROTOR.names:
-        raise SimulationError(
-            f"fault '{fault}': a quadrotor knows 'MOTOR effect FACTOR', of "
-            f"{', '.join(QUADROTOR.names)}, and 'repaired'"
-        )
-    return QUADROTOR.names.index(fault.what)
 
 
 @dataclass(frozen=True, kw_only=True)
