@@ -105,10 +105,6 @@ class Flight:
         """Times of the samples since the first one, s."""
         return np.asarray((self.t_ns - self.t_ns[0]) * NS)
 
-    def channels(self) -> FloatArray:
-        """Return the raw actuator channels, shape (M, C)."""
-        return self.channel_set.raw(self.inputs, self.trim)
-
     @property
     def channel_trim(self) -> FloatArray:
         """Return the raw channels in trimmed flight, shape (C,)."""

@@ -147,8 +147,8 @@ class Live:
         raise NotImplementedError
 
     def _attitude(self) -> Sequence[float]:
-        """Return roll, pitch, yaw, rad."""
-        raise NotImplementedError
+        """Return roll, pitch, yaw, rad; nothing if there is no attitude, and so no upset."""
+        return ()
 
     def command(
         self,
@@ -243,19 +243,18 @@ class Live:
         """Return a measurement of the present state; call it once for each sample."""
         sensors, (rates, force, surfaces, airspeed) = self._sensors, self._state()
         gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise[:2])
+        between = self._step % (self._substeps * airspeed_step(sensors.rate))
+        if airspeed is None or sensors.airspeed_noise is None or between:
+            airspeed = None
+        else:
+            error = sensors.airspeed_noise * float(self._noise[2].standard_normal())
+            airspeed = airspeed + sensors.airspeed_bias + error
         return Sample(
             time=self.time,
             rates=rates,
             measured_rates=rates + np.asarray(sensors.gyro_bias) + sensors.gyro_noise * gyro,
             measured_force=force + sensors.accelerometer_noise * accelerometer,
-            measured_airspeed=self._measured(airspeed),
+            measured_airspeed=airspeed,
             attitude=np.array(self._attitude()),
             surfaces=surfaces,
         )
-
-    def _measured(self, airspeed: float | None) -> float | None:
-        sensors, every = self._sensors, self._substeps * airspeed_step(self._sensors.rate)
-        if airspeed is None or sensors.airspeed_noise is None or self._step % every:
-            return None
-        error = sensors.airspeed_noise * float(self._noise[2].standard_normal())
-        return airspeed + sensors.airspeed_bias + error

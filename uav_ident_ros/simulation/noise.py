@@ -16,7 +16,7 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, NS_PER_S, RATES_STREAM
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import FLU_TO_FRD, FRAME_IDS
+from uav_ident_ros.messages.types import FLU_TO_FRD
 from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError, whole_steps
 
 AIRSPEED_RATE = 10.0
@@ -140,11 +140,6 @@ class Measurements(Samples):
     true_t_ns: IntArray  # (N,) True sampling times of the Imu messages, ns
 
     @property
-    def frame_id(self) -> str:
-        """frame_id of the Imu messages."""
-        return FRAME_IDS[self.sensors.convention]
-
-    @property
     def true_rates(self) -> FloatArray:
         """Noise-free p, q, r (FRD, rad/s) at the true times of the Imu samples."""
         return self.flight.rates[np.searchsorted(self.flight.t_ns, self.true_t_ns)]
@@ -192,7 +187,7 @@ def measure(
         specific_force=force[keep] * axes,
         actuator_t_ns=flight.actuator_t_ns if sensors.stamped else actuator_log_ns,
         actuator_log_ns=actuator_log_ns,
-        actuators=flight.channels(),
+        actuators=flight.channel_set.raw(flight.inputs, flight.trim),
         airspeed_t_ns=airspeed_t_ns,
         airspeed_log_ns=_log_times(airspeed_t_ns, sensors.latency, delays),
         airspeed=airspeed + noise * pitot.standard_normal(len(airspeed)),
