@@ -17,7 +17,13 @@ from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, NS_PER_S, RATES_STREAM
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FLU_TO_FRD
-from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError, whole_steps
+from uav_ident_ros.simulation.flight import (
+    Flight,
+    IntArray,
+    SimulationError,
+    check_positive,
+    whole_steps,
+)
 
 AIRSPEED_RATE = 10.0
 """Rate of a measured airspeed, Hz: about that of PX4 and MAVROS."""
@@ -52,6 +58,7 @@ class Sensors:
     stamped: bool = True
 
     def __post_init__(self) -> None:
+        check_positive(self, "rate")
         names = ("gyro_noise", "accelerometer_noise", "airspeed_noise", "stamp_jitter", "latency")
         for name in names:
             if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
