@@ -48,7 +48,7 @@ MODULES = {
 """Modules of the processes, by name."""
 
 BEFORE = 30.0
-"""Longest evaluated time before the fault, s."""
+"""Latest beginning of the evaluation before the fault, s."""
 
 AFTER = (0.0, 5.0, 10.0, 20.0, math.inf)
 """Limits of the evaluated intervals after the fault, s."""

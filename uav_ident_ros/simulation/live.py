@@ -115,7 +115,7 @@ class Live:
     ) -> None:
         self._substeps = whole_steps(1.0 / sensors.rate, rate, f"rate {sensors.rate:g} Hz")
         self._delay = whole_steps(delay, rate, f"delay {delay:g} s")
-        self._sensors, self.rate = sensors, rate
+        self.sensors, self.rate = sensors, rate
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(3)]
         self._ahead = deque(sorted(faults, key=lambda fault: fault.time))
         for fault in faults:
@@ -234,14 +234,9 @@ class Live:
         """Time of the newest sample, s after the first."""
         return self._step / self.rate
 
-    @property
-    def period(self) -> float:
-        """Time from one sample to the next, s."""
-        return 1.0 / self._sensors.rate
-
     def sample(self) -> Sample:
         """Return a measurement of the present state; call it once for each sample."""
-        sensors, (rates, force, surfaces, airspeed) = self._sensors, self._state()
+        sensors, (rates, force, surfaces, airspeed) = self.sensors, self._state()
         gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise[:2])
         between = self._step % (self._substeps * airspeed_step(sensors.rate))
         if airspeed is None or sensors.airspeed_noise is None or between:

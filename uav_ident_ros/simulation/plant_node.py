@@ -255,9 +255,8 @@ class PlantNode(Node):
         self._imu.publish(_imu_message(self._now_ns, sample))
         if self._lock_step:
             self._wait_for_answers()
-            self._excite_if_due()
-        else:
-            self._excite_if_due()
+        self._excite_if_due()
+        if not self._lock_step:
             end = began + (self._now_ns + self._period_ns - self._start_ns) / NS_PER_S
             self._wait(lambda: False, end - time.monotonic())
         self._answer(sample)
