@@ -100,7 +100,7 @@ def test_the_error_names_an_impossible_flight_sensor_or_fault(
         ("--fault 5:x", "fault '5:x' is none of"),
         ("--duration 60 --fault 60:repaired", "before the end of the flight, at 60 s: '30: rep"),
         ("--duration 60 --fault repaired", "needs a time before the end of the flight, at 60 s"),
-        ("--aircraft ufo", "aircraft 'ufo' is not set up here"),
+        ("--aircraft ufo", "aircraft 'ufo' is not set up here: use one of A4, c172p, "),
         ("--output /dev/null", "File exists: '/dev/null'"),
     ],
 )
