@@ -73,9 +73,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         check_positive(self, "duration", "rate", "actuator_rate")
-        for name in ("delay", "time_constant"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise SimulationError(f"{name} is {getattr(self, name)} s: it must be 0 or more")
+        check_positive(self, "delay", "time_constant", or_zero=True)
         if self.samples < 2:
             raise SimulationError(
                 f"a duration of {self.duration} s holds no two samples at {self.rate} Hz"

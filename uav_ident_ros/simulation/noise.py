@@ -2,7 +2,6 @@
 """Sensor model of a simulated flight: noise, bias, jitter, drops, frames and stamps."""
 
 import heapq
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -60,9 +59,7 @@ class Sensors:
     def __post_init__(self) -> None:
         check_positive(self, "rate")
         names = ("gyro_noise", "accelerometer_noise", "airspeed_noise", "stamp_jitter", "latency")
-        for name in names:
-            if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
-                raise SimulationError(f"{name} is {getattr(self, name)}: it must be 0 or more")
+        check_positive(self, *names, or_zero=True)
         for name in ("gyro_bias", "airspeed_bias", "lever_arm"):
             if not np.isfinite(getattr(self, name)).all():
                 raise SimulationError(f"{name} is {getattr(self, name)}: finite numbers are needed")
