@@ -28,9 +28,6 @@ from uav_ident_ros.simulation.flight import SimulationError
 FOOT = 0.3048
 """Length of a foot, m."""
 
-FULL_TRIM = 1
-"""JSBSim's trim in all six degrees of freedom."""
-
 TRIM_GUESS = (0.05, 0.0, 0.0, 0.0, 0.5)
 """Initial guess of a trim: angle of attack, elevator, rudder, aileron (rad) and throttle."""
 
@@ -48,7 +45,6 @@ SURFACE_PROPERTIES = (
     "fcs/throttle-pos-norm",
 )
 COMMAND_PROPERTIES = ("fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/aileron-cmd-norm")
-_TRIMS = ("fcs/pitch-trim-cmd-norm", "fcs/yaw-trim-cmd-norm", "fcs/roll-trim-cmd-norm")
 
 OUTPUT = re.compile(r"<output\s[^>]*/>|<output\s[^>]*[^/]>.*?</output>", re.DOTALL)
 """Output files that some aircraft models declare; JSBSim writes them into the current folder. The
@@ -192,12 +188,12 @@ class Aircraft:
         trimmed = False
         if self._engines:  # JSBSim's trim needs an engine
             with contextlib.suppress(Exception):  # jsbsim.TrimFailureError has no public base class
-                fdm.do_trim(FULL_TRIM)
+                fdm.do_trim(1)  # in all six degrees of freedom
                 trimmed = True
         if not trimmed:
             self._solve_trim()
-        for name in _TRIMS:
-            fdm[name] = 0.0  # the surfaces replace the trim tabs
+        for axis in ("pitch", "yaw", "roll"):
+            fdm[f"fcs/{axis}-trim-cmd-norm"] = 0.0  # the surfaces replace the trim tabs
 
     def _solve_trim(self) -> None:
         """Trim by Newton's method if JSBSim's own trim fails."""

@@ -4,6 +4,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 
 import numpy as np
 
@@ -64,10 +65,6 @@ class Body:
         }
 
 
-NO_GUST = (0.0, 0.0, 0.0)
-"""No gust."""
-
-
 TILT_GAIN, TILT_RATE_GAIN, YAW_GAIN = 0.3, 0.06, 0.35
 """Gains of the autopilot: input per rad and per rad/s of roll and pitch, and per rad/s of yaw."""
 
@@ -119,7 +116,7 @@ class LiveQuadrotor(Live):
         self.state = [0.0] * 10
         self.speeds = [self.body.hover] * 4  # Of the motors, 0 ... 1
         self.effect = [1.0] * 4  # Remaining share of each motor's thrust
-        self._gusts = iter(() if gusts is None else gusts.tolist())
+        self._gusts = repeat([0.0] * 3) if gusts is None else iter(gusts.tolist())
         self.trim = np.array([0.0, 0.0, 0.0, self.body.hover])
         self._commanded: FloatArray = self.trim[:3]
         self.outputs = self._acting = QUADROTOR.trim(self.trim)
@@ -179,7 +176,7 @@ class LiveQuadrotor(Live):
 
     def loads(
         self,
-        gust: Sequence[float] = NO_GUST,  # Angular acceleration by the gust, rad/s^2
+        gust: Sequence[float] = (0.0, 0.0, 0.0),  # Angular acceleration by it, rad/s^2
     ) -> tuple[list[float], list[float]]:
         """Return specific force, m/s^2, and angular acceleration, rad/s^2, in the present state."""
         body = self.body
@@ -204,7 +201,7 @@ class LiveQuadrotor(Live):
 
     def _fly(self, acting: FloatArray, moved: bool) -> list[float]:
         """Simulate one step: motor speeds exactly, the motion to second order."""
-        h, gust = 1.0 / self.rate, next(self._gusts, NO_GUST)
+        h, gust = 1.0 / self.rate, next(self._gusts)
         state, before = self.state, self.speeds
         decay = math.exp(-0.5 * h / self.body.time_constant)
         aims = [min(max(c, 0.0), 1.0) for c in acting.tolist()]
