@@ -102,7 +102,7 @@ class IncrementalLaw(TrackingLaw):
         """Reset the filters at the first sample, or after a gap. Parameters as of `update`."""
         self._rates = Smoother(self.gains.bandwidth, x)
         self._inputs = Smoother(self.gains.bandwidth, acting)
-        self._smooth = reference
+        self._smooth = np.array(reference, dtype=np.float64)
 
     def update(
         self,
@@ -150,7 +150,8 @@ class InversionLaw(TrackingLaw):
     ) -> None:
         """Reset the observer at the first sample, or after a gap."""
         self._model, self._effect = model, effect
-        self._xhat, self._disturbance, self._smooth = x, np.zeros(3), reference
+        self._xhat, self._disturbance = x, np.zeros(3)
+        self._smooth = np.array(reference, dtype=np.float64)
 
     def update(
         self,

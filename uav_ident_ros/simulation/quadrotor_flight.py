@@ -4,7 +4,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import repeat
+from itertools import chain, repeat
 
 import numpy as np
 
@@ -116,7 +116,7 @@ class LiveQuadrotor(Live):
         self.state = [0.0] * 10
         self.speeds = [self.body.hover] * 4  # Of the motors, 0 ... 1
         self.effect = [1.0] * 4  # Remaining share of each motor's thrust
-        self._gusts = repeat([0.0] * 3) if gusts is None else iter(gusts.tolist())
+        self._gusts = chain([] if gusts is None else gusts.tolist(), repeat([0.0] * 3))
         self.trim = np.array([0.0, 0.0, 0.0, self.body.hover])
         self._commanded: FloatArray = self.trim[:3]
         self.outputs = self._acting = QUADROTOR.trim(self.trim)
