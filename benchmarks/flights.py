@@ -72,7 +72,7 @@ def plan_of(
 ) -> Plan:
     """Return the flight of a definition."""
     values = _flown(definition, seed)
-    values["segments"] = values.pop("inputs", ())
+    values["segments"] = values.pop("inputs", [])
     if ("plant" in values) == ("aircraft" in values):
         raise SimulationError("it must have either 'plant' or 'aircraft'")
     kind: type[Plan] = AircraftFlight
@@ -80,7 +80,12 @@ def plan_of(
         kind = QuadrotorFlight
     elif name:
         kind, values["vehicle"] = PlantFlight, VEHICLES[name]
-    plan: Plan = build(kind, values, "flight", NESTED)
+    for key, (inner, noun) in NESTED.items():
+        if isinstance(given := values.get(key), list):
+            values[key] = tuple(build(inner, entry, noun) for entry in given)
+        elif key in values:
+            values[key] = build(inner, given, noun)
+    plan: Plan = build(kind, values, "flight")
     return plan
 
 

@@ -159,7 +159,7 @@ class Loop:
         live, sample = self.live, self.live.sample()
         t_ns = EPOCH_NS + round((sample.time + self.clock(sample.time)) * 1e9)
         roll, pitch = map(float, sample.attitude[:2])
-        reference = self.guide.rates(sample.time, roll, pitch, live.period)
+        reference = self.guide.rates(sample.time, roll, pitch, 1.0 / live.sensors.rate)
         rates = self.imu(sample.time, sample.measured_rates)
         if rates is not None:
             u = self.controller.update(t_ns, rates, reference)

@@ -36,7 +36,7 @@ from uav_ident_ros.client import (
 )
 from uav_ident_ros.control import LAWS, Effect, Gains, RateController
 from uav_ident_ros.files.meanings import AXIS_WORDS
-from uav_ident_ros.identification.settings import Setting
+from uav_ident_ros.identification.settings import Setting, SettingsError
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.types import FLU_TO_FRD, NS_PER_S, header_ns, stamp_ns, xyz
 from uav_ident_ros.node.notices import without_numbers
@@ -86,6 +86,8 @@ class ControllerExample(Node):
         self._adaptive = value["mode"] != "fixed"
         self._trim = np.array(value["trim"])
         nominal = Coefficients.from_file(value["nominal_file"]) if value["nominal_file"] else None
+        if nominal is None and not self._adaptive:
+            raise SettingsError("'mode' is 'fixed': 'nominal_file' must name the coefficients")
         self._source = CoefficientSource(
             Fallback.LAST_GOOD if self._adaptive else Fallback.NOMINAL,
             nominal,

@@ -168,11 +168,15 @@ def test_only_an_aircraft_that_rolls_over_is_rolled_by_sideslip(
 @pytest.mark.parametrize("adaptive", [False, True])
 def test_a_sample_or_reference_that_is_not_finite_moves_no_input(law: Law, adaptive: bool) -> None:
     flying, _ = controller(law, adaptive=adaptive)
+    nan, later, excitation = np.array([np.nan, 0.0, 0.0]), START, np.array([0.0, 0.01, 0.0, 0.0])
+    first = flying.inject(START - DT_NS, flying.update(START - DT_NS, nan, STEP), excitation)
+    assert first.tolist() == excitation.tolist()
     before = flying.update(START, np.zeros(3), STEP)
-    nan, later = np.array([np.nan, 0.0, 0.0]), START
     for x, wanted in ((nan, STEP), (np.zeros(3), nan), (np.full(3, np.inf), STEP)):
         later += DT_NS
-        assert flying.update(later, x, wanted).tolist() == before.tolist()
+        u = flying.update(later, x, wanted)
+        assert u.tolist() == before.tolist()
+        flying.inject(later, u, excitation)  # does not add up
     for _ in range(50):
         later += DT_NS
         assert np.isfinite(flying.update(later, np.zeros(3), STEP)).all()

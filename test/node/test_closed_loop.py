@@ -64,30 +64,25 @@ def printed(running: ClosedLoop, name: str, words: str) -> bool:
 
 
 @pytest.mark.parametrize("given", ["83", None])
-def test_a_flight_has_its_own_domain_unless_one_is_given(
-    given: str | None, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("error", "status"), [(SimulationError("not flown"), 2), (KeyboardInterrupt(), INTERRUPTED)]
+)
+def test_a_flight_has_its_own_domain_unless_one_is_given_and_leaves_no_traceback(
+    error: BaseException, status: int, given: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     domains: list[str | None] = []
 
     def started(*_: object) -> None:
         domains.append(os.environ.get("ROS_DOMAIN_ID"))
-        raise SimulationError("not flown")
+        raise error
 
     monkeypatch.setattr(closed_loop, "ClosedLoop", started)
     if given:
         monkeypatch.setenv("ROS_DOMAIN_ID", given)
     else:
         monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-    assert closed_loop.main([]) == 2
+    assert closed_loop.main([]) == status
     assert domains == [given] if given else domains[0] in map(str, range(1, 102))
-
-
-def test_ctrl_c_ends_a_flight_without_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(closed_loop, "ClosedLoop", interrupt)
-    assert closed_loop.main([]) == INTERRUPTED
 
 
 def test_an_aircraft_is_identified_once_and_again_after_an_edit_of_its_file(
@@ -142,13 +137,14 @@ def test_a_slow_flight_is_not_given_up_while_it_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(closed_loop, "STANDSTILL", 0.5)
-    running = ClosedLoop(SHORT, tmp_path)
-    running.processes = {"simulated_plant": Plant(running.record_file, 15, flies=True)}  # type: ignore[dict-item]
-    assert np.isnan(running.wait()["lost"]).all()
-    running.record_file.unlink()
-    running.processes = {"simulated_plant": Plant(running.record_file, 15, flies=False)}  # type: ignore[dict-item]
+    moving, still = (ClosedLoop(SHORT, tmp_path) for _ in range(2))
+    for running, flies in ((moving, True), (still, False)):
+        plant = Plant(running.record_file, 15, flies)
+        running.processes = {"simulated_plant": plant}  # type: ignore[dict-item]
+    assert np.isnan(moving.wait()["lost"]).all()
+    still.record_file.unlink()
     with pytest.raises(SimulationError, match=r"stood still for 0.5 s: it flies"):
-        running.wait()
+        still.wait()
 
 
 def test_flights_are_equal_on_any_machine_until_the_excitation_starts(

@@ -44,12 +44,14 @@ WRONG_FILES = [
 WRONG_OF_OTHERS = [
     ("controller_example", "law:=pid", "'law' is 'pid': allowed are incremental, inversion"),
     ("controller_example", "rate_gain:=[5.0]", "'rate_gain' has 1 values: 3 are needed"),
+    ("controller_example", "mode:=fixed", "'nominal_file' must name the coefficients"),
     ("controller_example", "delay:=-0.1", "'delay' is -0.1: allowed is 0 s or more"),
     ("controller_example", "nominal_file:=none.yaml", "'none.yaml': there is no such file"),
     ("simulation.rate_reference", "hold:=[1.0]", "'hold' has 1 values: 2 are needed"),
     ("simulation.rate_reference", "seed:=-1", "'seed' is -1: allowed is 0 or more"),
     ("simulation.rate_reference", "airspeed:=.inf", "'airspeed' is inf: write a finite number"),
     ("simulation.plant_node", "airspeed_noise:=.nan", "'airspeed_noise' is nan: write a finite"),
+    ("simulation.plant_node", "rate:=0.0", "rate is 0.0: it must be positive"),
     ("simulation.plant_node", "aircraft:=ufo", "'ufo' is not set up here: use one of"),
 ]
 

@@ -81,11 +81,6 @@ def test_a_wrong_file_is_named_with_the_correct_value(
     assert str(path) in str(raised.value)
 
 
-def test_the_error_of_an_unknown_name_lists_the_known_names() -> None:
-    with pytest.raises(SimulationError, match=r"'ufo' .*c172p.*NAME\.yaml"):
-        airframe("ufo")
-
-
 def test_a_jsbsim_aircraft_writes_no_output_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -8,7 +8,7 @@ import pytest
 from programs import Capture
 
 from uav_ident_ros.identification.structure import INPUTS
-from uav_ident_ros.simulation.aircraft import STATE_PROPERTIES, differentiate, linearise_cruise
+from uav_ident_ros.simulation.aircraft import STATES, differentiate, linearise_cruise
 from uav_ident_ros.simulation.airframe import airframe, airframe_names
 from uav_ident_ros.simulation.faults import Fault
 from uav_ident_ros.simulation.flight import Flight
@@ -39,7 +39,7 @@ def test_the_true_derivatives_predict_the_accelerations_of_every_aircraft(name: 
     truth = linearise_cruise(name).derivatives
     matrix = np.array(
         [
-            [truth[f"{row}/{name}"] for name in (*STATE_PROPERTIES, *INPUTS)]
+            [truth[f"{row}/{name}"] for name in (*STATES, *INPUTS)]
             for row in ("pdot", "qdot", "rdot")
         ]
     )
@@ -109,9 +109,6 @@ def test_nothing_is_printed(capfd: Capture) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-SENSORS = Sensors(rate=100.0)
-
-
 # Of the c172p at 175 ft/s and 3000 ft, determined independently.
 KNOWN = {
     "pdot/p": -6.81, "pdot/r": 1.38, "pdot/dr": 3.24, "pdot/da": 31.2, "pdot/beta": -15.5,
@@ -156,7 +153,7 @@ def test_the_small_aeroplane_has_its_published_derivatives() -> None:
 
 
 def test_more_pitch_inertia_reduces_every_pitch_derivative() -> None:
-    live = LiveAircraft("c172p", SENSORS)
+    live = LiveAircraft("c172p", Sensors(rate=100.0))
     before = differentiate(live.aircraft).derivatives
     live.apply(Fault("inertia", "pitch", 1.3))
     after = differentiate(live.aircraft).derivatives

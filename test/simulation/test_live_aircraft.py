@@ -170,11 +170,6 @@ def test_an_engine_failure_removes_the_thrust(name: str, thrust: str, share: flo
     assert fdm[thrust] < share * before
 
 
-def test_a_lost_aircraft_ends_the_flight() -> None:
-    with pytest.raises(SimulationError, match=r"lost at .* its roll"):
-        flown(size=0.2, seconds=20.0)
-
-
 def test_the_configured_trim_is_the_trim_of_the_plant() -> None:
     trim = LiveAircraft("c172p", PERFECT).trim
     path = CONFIG / "c172p.yaml"

@@ -8,11 +8,22 @@ import pytest
 
 pytest.importorskip("rclpy", reason="the reference is a ROS node")
 
-from geometry_msgs.msg import Quaternion
+import rclpy
+from geometry_msgs.msg import Quaternion, Vector3Stamped
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Header
 
 from uav_ident_ros.identification.frames import quaternions
 from uav_ident_ros.identification.model import GRAVITY
-from uav_ident_ros.simulation.rate_reference import MAX_RATES, Manoeuvres, attitude, body_rates
+from uav_ident_ros.ros import to_stamp
+from uav_ident_ros.simulation.flight import EPOCH_NS
+from uav_ident_ros.simulation.rate_reference import (
+    MAX_RATES,
+    Manoeuvres,
+    RateReference,
+    attitude,
+    body_rates,
+)
 
 DT = 0.01
 
@@ -53,3 +64,17 @@ def test_roll_and_pitch_follow_from_the_quaternion(angles: tuple[float, float, f
     q = Quaternion(**dict(zip("xyzw", turned.tolist(), strict=True)))
     assert attitude(q) == pytest.approx((roll, pitch))
     assert q.w**2 + q.x**2 + q.y**2 + q.z**2 == pytest.approx(1.0)
+
+
+def test_a_new_flight_has_its_manoeuvres_from_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stamps go back, as those of a plant that is started again."""
+    sent: list[Vector3Stamped] = []
+    rclpy.init(args=[])
+    node = RateReference()
+    monkeypatch.setattr(node._publisher, "publish", sent.append)
+    for k in (*range(400), *range(400)):
+        node._on_imu(Imu(header=Header(stamp=to_stamp(EPOCH_NS + k * round(DT * 1e9)))))
+    node.destroy_node()
+    rclpy.shutdown()
+    assert sent[:400] == sent[400:]
+    assert sent[399].vector.x != 0.0

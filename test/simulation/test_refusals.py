@@ -3,6 +3,7 @@
 
 import sys
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from uav_ident_ros.simulation import closed_loop
 from uav_ident_ros.simulation.faults import parse_fault
 from uav_ident_ros.simulation.flight import SimulationError
 from uav_ident_ros.simulation.inputs import Segment
-from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight
+from uav_ident_ros.simulation.jsbsim_flight import AircraftFlight, LiveAircraft
 from uav_ident_ros.simulation.noise import Sensors, measure
 from uav_ident_ros.simulation.plant import PlantFlight
 from uav_ident_ros.simulation.quadrotor_flight import LiveQuadrotor, QuadrotorFlight
@@ -39,8 +40,8 @@ def sensed(**values: object) -> object:
     return measure(flown(duration=0.1), Sensors(**values))
 
 
-def faulty(text: str) -> object:
-    return LiveQuadrotor(Sensors(rate=100.0), faults=[parse_fault(text)])
+def faulty(text: str, kind: Callable[..., object] = LiveQuadrotor) -> object:
+    return kind(sensors=Sensors(rate=100.0), faults=[parse_fault(text)])
 
 
 REFUSED: list[tuple[str, Callable[[], object]]] = [
@@ -79,6 +80,7 @@ REFUSED: list[tuple[str, Callable[[], object]]] = [
     ("is none of", lambda: parse_fault("motor_middle effect 0.5")),
     ("MOTOR effect FACTOR", lambda: faulty("5: elevator jams")),
     ("MOTOR effect FACTOR", lambda: faulty("5: turbulence 4")),
+    ("surfaces", lambda: faulty("5: motor_rear_left effect 1", partial(LiveAircraft, "c172p"))),
 ]  # fmt: skip
 
 
@@ -98,7 +100,7 @@ def test_the_error_names_an_impossible_flight_sensor_or_fault(
         ("--fault 5:x", "fault '5:x' is none of"),
         ("--duration 60 --fault 60:repaired", "before the end of the flight, at 60 s: '30: rep"),
         ("--duration 60 --fault repaired", "needs a time before the end of the flight, at 60 s"),
-        ("--aircraft ufo", "aircraft 'ufo' is not set up here"),
+        ("--aircraft ufo", "aircraft 'ufo' is not set up here: use one of A4, c172p, "),
         ("--output /dev/null", "File exists: '/dev/null'"),
     ],
 )

@@ -49,7 +49,10 @@ class RateController:
         self._adaptive, self._yaw_for_roll = adaptive, yaw_for_roll(nominal)
         self._last_ns = 0
         self._rolled_over = False
-        self._newest = np.zeros(4)  # Inputs of the last command, which act during a gap
+        # Inputs of the last command, which act during a gap, and those of the law alone
+        self._newest = self._of_law = np.zeros(4)
+        self._commands: History[FloatArray] = History()
+        self._references: History[FloatArray] = History()
         self._response = Response()
         # Measured control effectiveness and delay of the inputs
         self.effectiveness, self.delay = Effectiveness(), DelayMeter(delay)
@@ -69,7 +72,7 @@ class RateController:
         filters for ever.
         """
         if not (np.isfinite(x).all() and np.isfinite(reference).all()):
-            return self._newest
+            return self._of_law
         dt, before_ns = (t_ns - self._last_ns) * NS, self._last_ns
         self._last_ns = t_ns
         if not 0.0 < dt < MAX_INTERVAL:
@@ -88,7 +91,8 @@ class RateController:
         else:
             model, acting = self._source.model(t_ns), self._acting(t_ns, self.delay.delay)
             u = self._law.update(dt, model, self.effect.values, x, reference, acting)
-        return self._sent(t_ns, u)
+        self._of_law = self._sent(t_ns, u)
+        return u
 
     def _must_sideslip(self, t_ns: int, x: FloatArray) -> bool:
         """Whether to roll by sideslip: from a predicted roll-over until the ailerons work again.
@@ -152,9 +156,8 @@ class RateController:
         return u
 
     def _restart(self, t_ns: int, x: FloatArray, reference: FloatArray) -> None:
-        self._commands: History[FloatArray] = History()
+        self._commands, self._references = History(), History()
         self._commands.add(0, self._newest)
-        self._references: History[FloatArray] = History()
         self.effectiveness.restart()
         self._response.restart()
         self.delay.restart()

@@ -108,12 +108,12 @@ class Effectiveness:
         self._start = np.zeros_like(self._total)
         self._noise, self._log_ratio = np.zeros((2, 3)), np.zeros((2, 3))  # reversed, lost
         self._age = self._since_evaluation = 0.0
-        # g of roll, pitch, yaw over the window, and its standard deviation, (3,)
-        self.factor, self.sigma = np.ones(3), np.full(3, UNKNOWN)
-        # The same since the start of the last change
-        self.since, self.since_sigma = np.ones(3), np.full(3, UNKNOWN)
-        # The same over the window by least squares, for any cause of the inputs' motion
-        self.moved, self.moved_sigma = np.ones(3), np.full(3, UNKNOWN)
+        self._g, self._sigmas = np.ones((3, 3)), np.full((3, 3), UNKNOWN)
+        # g of roll, pitch, yaw, (3,): over the window, by the instrument, and by least squares for
+        # any cause of the inputs' motion; and since the start of the last change
+        self.factor, self.moved, self.since = self._g
+        # Their standard deviations, (3,)
+        self.sigma, self.moved_sigma, self.since_sigma = self._sigmas
         # Axes whose inputs had no effect when they last moved, (3,)
         self.dead: BoolArray = np.zeros(3, dtype=bool)
 
@@ -132,8 +132,7 @@ class Effectiveness:
         integrals = (part[..., : PLACES[-1], :] for part in (self._total, self._past, self._start))
         for part in (self._recent, self._recent_rest, self._log_ratio, *integrals):
             part[..., axis] = 0.0
-        self.factor[axis] = self.moved[axis] = self.since[axis] = 1.0
-        self.sigma[axis] = self.moved_sigma[axis] = self.since_sigma[axis] = UNKNOWN
+        self._g[:, axis], self._sigmas[:, axis] = 1.0, UNKNOWN
         self.dead[axis] = False
 
     def begin(self, axes: BoolArray) -> None:
@@ -176,8 +175,7 @@ class Effectiveness:
             self._since_evaluation = 0.0
             self._evaluate()
         if rival is not None:
-            for sigma in (self.sigma, self.moved_sigma, self.since_sigma):
-                sigma[:] = UNKNOWN
+            self._sigmas[:] = UNKNOWN
 
     def _compare(
         self,
@@ -211,8 +209,8 @@ class Effectiveness:
         """Compute g and its sigma over the window and since the last change."""
         self._total[-1] = self._rest
         before = self._past[self._oldest]
-        (self.factor, self.moved), (self.sigma, self.moved_sigma) = self._solved(before)
-        (self.since, _), (self.since_sigma, _) = self._solved(self._start)
+        self._g[:2], self._sigmas[:2] = self._solved(before)
+        self._g[2], self._sigmas[2] = (found[0] for found in self._solved(self._start))
         self._past[self._oldest] = self._total
         self._oldest = (self._oldest + 1) % EVALUATIONS
 

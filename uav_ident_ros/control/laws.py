@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -58,24 +58,27 @@ class Smoother:
         self.slope = e * (self.slope * (c - decay * s) - away * w**2 * s)
 
 
-class Wanted:
-    """The wanted acceleration: ``reference' + K (reference - x)``.
+@dataclass
+class TrackingLaw:
+    """The wanted acceleration of all laws: ``reference' + K (reference - x)``.
 
     The reference is differentiated with a lag.
     """
 
-    def __init__(self, gains: Gains, reference: FloatArray) -> None:
-        self._gains, self._smooth = gains, np.array(reference, dtype=np.float64)
+    limits: FloatArray  # (2, 4) Lower and upper limits of de, dr, da, dth, deviations from trim
+    scale: FloatArray  # (3,) Unit of the acceleration of each axis, rad/s^2: see `allocate`
+    gains: Gains
+    _smooth: FloatArray = field(init=False)  # (3,) The lagged reference
 
-    def update(self, dt: float, x: FloatArray, reference: FloatArray) -> FloatArray:
+    def _wanted(self, dt: float, x: FloatArray, reference: FloatArray) -> FloatArray:
         """Return the acceleration `dt` s later, shape (3,)."""
-        slope = (reference - self._smooth) / self._gains.reference_time
+        slope = (reference - self._smooth) / self.gains.reference_time
         self._smooth = self._smooth + dt * slope
-        return np.asarray(slope + np.array(self._gains.rate) * (reference - x))
+        return np.asarray(slope + np.array(self.gains.rate) * (reference - x))
 
 
 @dataclass
-class IncrementalLaw:
+class IncrementalLaw(TrackingLaw):
     """Incremental nonlinear dynamic inversion (INDI): measured accelerations replace the model.
 
         u = u_f + B^-1 (reference' + K (reference - x) - xdot_f)
@@ -92,8 +95,6 @@ class IncrementalLaw:
     control of micro air vehicles", JGCD 39(3), 2016.
     """
 
-    limits: FloatArray  # (2, 4) Lower and upper limits of de, dr, da, dth, deviations from trim
-    scale: FloatArray  # (3,) Unit of the acceleration of each axis, rad/s^2: see `allocate`
     # For a light aircraft at 100 Hz with a delay of 20 ms
     gains: Gains = Gains(rate=(5.0, 4.0, 2.0), bandwidth=20.0)
 
@@ -101,7 +102,7 @@ class IncrementalLaw:
         """Reset the filters at the first sample, or after a gap. Parameters as of `update`."""
         self._rates = Smoother(self.gains.bandwidth, x)
         self._inputs = Smoother(self.gains.bandwidth, acting)
-        self._wanted = Wanted(self.gains, reference)
+        self._smooth = np.array(reference, dtype=np.float64)
 
     def update(
         self,
@@ -116,7 +117,7 @@ class IncrementalLaw:
         """Return de, dr, da, dth, deviations from trim."""
         self._rates.update(x, dt)
         self._inputs.update(acting, dt)
-        missing = self._wanted.update(dt, x, reference) - self._rates.slope
+        missing = self._wanted(dt, x, reference) - self._rates.slope
         # limited to the rudder's authority: at its stops it lags and destabilises the Dutch roll
         most = min(LARGEST_YAW_RATE, self.scale[2] / self.gains.rate[2])
         missing[2] += self.gains.rate[2] * np.clip(yaw_for_roll * missing[0], -most, most)
@@ -128,7 +129,7 @@ OBSERVER = np.array([1.0, 1.0, 0.5])
 
 
 @dataclass
-class InversionLaw:
+class InversionLaw(TrackingLaw):
     """Inversion of the identified model with a disturbance observer.
 
         u = B^-1 (reference' + K (reference - x) - d - A f(x, 0))
@@ -141,8 +142,6 @@ class InversionLaw:
     The loop thus has integral action: a wrong model makes it slow, not unstable.
     """
 
-    limits: FloatArray  # limits, scale: As of `IncrementalLaw`
-    scale: FloatArray
     # For a light aircraft at 100 Hz with a delay of 20 ms
     gains: Gains = Gains(rate=(5.0, 4.0, 2.0), bandwidth=8.0)
 
@@ -152,7 +151,7 @@ class InversionLaw:
         """Reset the observer at the first sample, or after a gap."""
         self._model, self._effect = model, effect
         self._xhat, self._disturbance = x, np.zeros(3)
-        self._wanted = Wanted(self.gains, reference)
+        self._smooth = np.array(reference, dtype=np.float64)
 
     def update(
         self,
@@ -173,7 +172,7 @@ class InversionLaw:
         error, w = x - self._xhat, self.gains.bandwidth * OBSERVER
         self._xhat = self._xhat + dt * (known + self._disturbance + 2.0 * w * error)
         self._disturbance = self._disturbance + dt * w**2 * error
-        wanted = self._wanted.update(dt, x, reference) - self._disturbance
+        wanted = self._wanted(dt, x, reference) - self._disturbance
         return allocate(effect, wanted - unforced, self.limits, self.scale)
 
 

@@ -28,9 +28,6 @@ from uav_ident_ros.simulation.flight import SimulationError
 FOOT = 0.3048
 """Length of a foot, m."""
 
-FULL_TRIM = 1
-"""JSBSim's trim in all six degrees of freedom."""
-
 TRIM_GUESS = (0.05, 0.0, 0.0, 0.0, 0.5)
 """Initial guess of a trim: angle of attack, elevator, rudder, aileron (rad) and throttle."""
 
@@ -48,7 +45,6 @@ SURFACE_PROPERTIES = (
     "fcs/throttle-pos-norm",
 )
 COMMAND_PROPERTIES = ("fcs/elevator-cmd-norm", "fcs/rudder-cmd-norm", "fcs/aileron-cmd-norm")
-_TRIMS = ("fcs/pitch-trim-cmd-norm", "fcs/yaw-trim-cmd-norm", "fcs/roll-trim-cmd-norm")
 
 OUTPUT = re.compile(r"<output\s[^>]*/>|<output\s[^>]*[^/]>.*?</output>", re.DOTALL)
 """Output files that some aircraft models declare; JSBSim writes them into the current folder. The
@@ -192,12 +188,12 @@ class Aircraft:
         trimmed = False
         if self._engines:  # JSBSim's trim needs an engine
             with contextlib.suppress(Exception):  # jsbsim.TrimFailureError has no public base class
-                fdm.do_trim(FULL_TRIM)
+                fdm.do_trim(1)  # in all six degrees of freedom
                 trimmed = True
         if not trimmed:
             self._solve_trim()
-        for name in _TRIMS:
-            fdm[name] = 0.0  # the surfaces replace the trim tabs
+        for axis in ("pitch", "yaw", "roll"):
+            fdm[f"fcs/{axis}-trim-cmd-norm"] = 0.0  # the surfaces replace the trim tabs
 
     def _solve_trim(self) -> None:
         """Trim by Newton's method if JSBSim's own trim fails."""
@@ -300,14 +296,8 @@ def settle(aircraft: Aircraft, rate: float = AUTOPILOT_RATE) -> tuple[Autopilot,
 # --- true derivatives at a flight condition -------------------------------------------------------
 
 
-STATE_PROPERTIES = {
-    "p": "ic/p-rad_sec",
-    "q": "ic/q-rad_sec",
-    "r": "ic/r-rad_sec",
-    "beta": "ic/beta-rad",
-    "alpha": "ic/alpha-rad",
-}
-"""States of the linear model, rad/s and rad, with the properties that set them."""
+STATES = ("p", "q", "r", "beta", "alpha")
+"""States of the linear model, rad/s and rad."""
 
 MODEL_ROWS = STRUCTURES["flight_dynamics"].row_labels
 """Rows of the linear model: rad/s^2, m/s^2 (specific force at the centre of gravity), rad/s."""
@@ -322,27 +312,27 @@ SETTLING_RATE = 200.0
 LEAST_DERIVATIVE = 0.01
 """Smallest derivative that `cruise_derivatives` contains, in the units of `MODEL_ROWS`."""
 
-_KEPT = {
-    "ic/h-sl-ft": "position/h-sl-ft",
-    "ic/vt-fps": "velocities/vt-fps",
-    "ic/alpha-rad": "aero/alpha-rad",
-    "ic/beta-rad": "aero/beta-rad",
-    "ic/phi-rad": "attitude/phi-rad",
-    "ic/theta-rad": "attitude/theta-rad",
-    "ic/psi-true-rad": "attitude/psi-rad",
-    "ic/p-rad_sec": "velocities/p-rad_sec",
-    "ic/q-rad_sec": "velocities/q-rad_sec",
-    "ic/r-rad_sec": "velocities/r-rad_sec",
+INITIAL = {
+    "altitude": "ic/h-sl-ft",
+    "airspeed": "ic/vt-fps",
+    "alpha": "ic/alpha-rad",
+    "beta": "ic/beta-rad",
+    "roll": "ic/phi-rad",
+    "pitch": "ic/theta-rad",
+    "yaw": "ic/psi-true-rad",
+    "p": "ic/p-rad_sec",
+    "q": "ic/q-rad_sec",
+    "r": "ic/r-rad_sec",
 }
-"""Properties of an initial condition and the signals that set them, in the order of writing."""
+"""Properties of an initial condition by the name of the signal, in the order of writing."""
 
 
 @dataclass(frozen=True)
 class Linearisation:
     """Derivatives of an aircraft about a flight condition."""
 
-    # By name such as ``pdot/da``: of `MODEL_ROWS` by `STATE_PROPERTIES` at fixed attitude,
-    # airspeed and surfaces, and by the inputs at fixed states; ``betadot/p`` excludes the model's
+    # By name such as ``pdot/da``: of `MODEL_ROWS` by `STATES` at fixed attitude, airspeed
+    # and surfaces, and by the inputs at fixed states; ``betadot/p`` excludes the model's
     # own term p alpha
     derivatives: dict[str, float]
     airspeed: float  # True, m/s
@@ -384,23 +374,21 @@ def differentiate(aircraft: Aircraft) -> Linearisation:
     longitude zero.
     """
     fdm, surfaces = aircraft.fdm, aircraft.surfaces
-    state = {name: float(fdm[now]) for name, now in _KEPT.items()}
+    state = {name: float(fdm[PROPERTIES[name]]) for name in INITIAL}
     base = _signals(aircraft, state)
 
-    def slope(changed: str, moved: FloatArray) -> FloatArray:
+    def slope(name: str) -> FloatArray:
         ends = []
         for step in (PERTURBATION, -PERTURBATION):
-            aircraft.set_surfaces(surfaces + step * moved)
-            there = {changed: state[changed] + step} if changed else {}
-            signals = _signals(aircraft, state | there)
-            rows = [signals[name] for name in ("pdot", "qdot", "rdot", "fy", "fz")]
+            aircraft.set_surfaces(surfaces + step * np.array([name == label for label in INPUTS]))
+            moved = {name: state[name] + step} if name in state else {}
+            signals = _signals(aircraft, state | moved)
+            rows = [signals[row] for row in ("pdot", "qdot", "rdot", "fy", "fz")]
             flow = [fdm[f"aero/{angle}dot-rad_sec"] for angle in ("beta", "alpha")]
             ends.append(np.array([*rows, *flow]))
         return np.asarray((ends[0] - ends[1]) / (2.0 * PERTURBATION))
 
-    still = np.zeros(len(INPUTS))
-    columns = {name: slope(changed, still) for name, changed in STATE_PROPERTIES.items()}
-    columns |= {name: slope("", one) for name, one in zip(INPUTS, np.eye(len(INPUTS)), strict=True)}
+    columns = {name: slope(name) for name in (*STATES, *INPUTS)}
     aircraft.set_surfaces(surfaces)
     _signals(aircraft, state)
     derivatives = {
@@ -414,10 +402,10 @@ def differentiate(aircraft: Aircraft) -> Linearisation:
 
 
 def _signals(aircraft: Aircraft, state: Mapping[str, float]) -> Signals:
-    """Return the signals in a state."""
+    """Return the signals in a state, which has the names of `INITIAL` and JSBSim's units."""
     fdm = aircraft.fdm
     for name, value in state.items():
-        fdm[name] = value
+        fdm[INITIAL[name]] = value
     fdm.run_ic()
     fdm.suspend_integration()  # hold the time
     # the first evaluation yields the rates of the flow angles, which the moments of the second use

@@ -105,48 +105,36 @@ def _read(path: Path) -> Airframe:
     where = f"aircraft file '{path}'"
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), TypedLoader)
+        if not isinstance(content, dict):
+            raise EntryError("there are no entries like 'model: c172p'")
+        found: Airframe = build(Airframe, {"name": path.stem, **content}, where)
+        gains: AutopilotGains = build(AutopilotGains, found.autopilot, f"{where}, autopilot")
+        if not isinstance(found.model, str):
+            raise EntryError(f"model is the number {found.model}: write it in quotes")
+        peaks = mapping(found.excitation, "excitation", (), INPUTS)
+        for key, value in {**vars(gains), **peaks}.items():
+            finite(value, key)
+        for key in ("speed", "altitude"):
+            value = getattr(found, key)
+            if not (isinstance(value, int | float) and value > 0.0):
+                raise EntryError(f"{key} is {value}, not positive")
     except UNUSABLE as error:
         raise SimulationError(f"{where}: {problem(error)}") from None
-    if not isinstance(content, dict):
-        raise SimulationError(f"{where} has no entries like 'model: c172p'")
-    nested = {"autopilot": (AutopilotGains, f"{where}, autopilot")}
-    found: Airframe = build(Airframe, {"name": path.stem, **content}, where, nested)
-    if not isinstance(found.model, str):
-        raise SimulationError(f"{where}: model is the number {found.model}: write it in quotes")
-    try:
-        peaks = mapping(found.excitation, "excitation", (), INPUTS)
-        for key, value in {**vars(found.autopilot), **peaks}.items():
-            finite(value, key)
-    except EntryError as error:
-        raise SimulationError(f"{where}: {error}") from None
-    for key in ("speed", "altitude"):
-        value = getattr(found, key)
-        if not (isinstance(value, int | float) and value > 0.0):
-            raise SimulationError(f"{where}: {key} is {value}, not positive")
     folders = [place / found.model for place in (path.resolve().parent, MODELS)]
     own = [str(folder) for folder in folders if (folder / f"{folder.name}.xml").is_file()]
     model, speed, altitude = [*own, found.model][0], float(found.speed), float(found.altitude)
-    return replace(found, model=model, speed=speed, altitude=altitude)
+    return replace(found, autopilot=gains, model=model, speed=speed, altitude=altitude)
 
 
 def build(
     cls: Any,  # The dataclass
-    values: Any,  # Its fields by name; lists become tuples
+    values: Any,  # Its fields by name
     where: str,  # The file or entry with these values, for messages
-    # Fields that are dataclasses, or sequences of them: the class and the noun for messages
-    nested: Mapping[str, tuple[Any, str]] | None = None,
 ) -> Any:
     """Build a dataclass from a mapping."""
     optional = [f.name for f in fields(cls) if {f.default, f.default_factory} != {MISSING}]
     needed = [f.name for f in fields(cls) if f.name not in optional]
     try:
-        given = mapping(values, where, needed, optional)
+        return cls(**mapping(values, where, needed, optional))
     except EntryError as error:
         raise SimulationError(str(error)) from None
-    out = {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
-    for key, (inner, called) in (nested or {}).items():
-        if isinstance(found := out.get(key), tuple):
-            out[key] = tuple(build(inner, value, called) for value in found)
-        elif key in out and not isinstance(found, inner):
-            out[key] = build(inner, found, called)
-    return cls(**out)

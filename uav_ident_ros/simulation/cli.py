@@ -4,7 +4,7 @@
 import argparse
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -48,32 +48,6 @@ examples:
 """
 
 
-Option = tuple[str, Any, str, str]
-"""A numeric option: the field that it sets, default, unit, meaning."""
-
-FLIGHT_OPTIONS: dict[str, Option] = {
-    "--duration": ("duration", 90.0, "S", "length of the excited flight, s"),
-    "--quiet": ("quiet", 0.0, "S", "unexcited flight after it, s"),
-    "--gusts": ("gusts", 0.0, "RMS", "plant: coloured angular acceleration, rad/s^2 rms"),
-    "--turbulence": ("turbulence", 0, "LEVEL", "aircraft: MIL-F-8785C severity 0 (calm) to 7"),
-    "--bank": ("bank", 0.0, "DEG", "aircraft: bank angle of alternating turns, deg"),
-    "--delay": ("delay", 0.0, "S", "from recorded command to surface, s"),
-    "--servo-lag": ("servo_lag", 0.0, "S",
-        "plant: time constant of the servos, s; of motors 0.05 by default"),
-    "--actuator-rate": ("actuator_rate", 100.0, "HZ",
-        "rate of the commands, each held until the next, Hz"),
-    "--seed": ("seed", 0, "N", "seed of all randomness"),
-}  # fmt: skip
-SENSOR_OPTIONS: dict[str, Option] = {
-    "--imu-rate": ("rate", 200.0, "HZ", "Imu rate, Hz"),
-    "--noise": ("gyro_noise", 0.02, "RMS", "gyro noise, rad/s"),
-    "--accelerometer-noise": ("accelerometer_noise", 0.1, "RMS", "accelerometer noise, m/s^2"),
-    "--jitter": ("stamp_jitter", 0.0, "S", "Imu stamps are off by up to this, s"),
-    "--drop": ("drop", 0.0, "FRACTION", "fraction of Imu messages lost at random"),
-    "--latency": ("latency", 0.0, "S", "mean of log time minus sampling time, s"),
-}
-
-
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = OneLineParser(
@@ -83,6 +57,13 @@ def make_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
+
+    def number(
+        name: str, default: float, unit: str, meaning: str, field: str | None = None
+    ) -> None:
+        help_ = f"{meaning} ({default:g})"
+        add(name, dest=field, type=type(default), default=default, metavar=unit, help=help_)
+
     add = parser.add_argument
     add("--output", required=True, type=given_path, metavar="DIR", help="folder of the new bag")
     add("--compress", action="store_true", help="compress the bag with zstd")
@@ -100,7 +81,16 @@ def make_parser() -> argparse.ArgumentParser:
         help=f"peaks, rad and throttle 0..1 ({peaks}; others have their own)")  # fmt: skip
     add("--autopilot", action="store_true",
         help="plant: feedback of rates and angles (an aircraft always has one)")  # fmt: skip
-    _add_numbers(flight, FLIGHT_OPTIONS)
+    number("--duration", 90.0, "S", "length of the excited flight, s")
+    number("--quiet", 0.0, "S", "unexcited flight after it, s")
+    number("--gusts", 0.0, "RMS", "plant: coloured angular acceleration, rad/s^2 rms")
+    number("--turbulence", 0, "LEVEL", "aircraft: MIL-F-8785C severity 0 (calm) to 7")
+    number("--bank", 0.0, "DEG", "aircraft: bank angle of alternating turns, deg")
+    number("--delay", 0.0, "S", "from recorded command to surface, s")
+    number("--servo-lag", 0.0, "S",
+        "plant: time constant of the servos, s; of motors 0.05 by default")  # fmt: skip
+    number("--actuator-rate", 100.0, "HZ", "rate of the commands, each held until the next, Hz")
+    number("--seed", 0, "N", "seed of all randomness")
 
     sensors = parser.add_argument_group("sensors and messages")
     add = sensors.add_argument
@@ -115,16 +105,13 @@ def make_parser() -> argparse.ArgumentParser:
         help="actuators as Float64MultiArray, no stamp")  # fmt: skip
     add("--channels", choices=tuple(CHANNEL_SETS),
         help="what the raw actuator channels are (plain; motors)")  # fmt: skip
-    _add_numbers(sensors, SENSOR_OPTIONS)
+    number("--imu-rate", 200.0, "HZ", "Imu rate, Hz", "rate")
+    number("--noise", 0.02, "RMS", "gyro noise, rad/s", "gyro_noise")
+    number("--accelerometer-noise", 0.1, "RMS", "accelerometer noise, m/s^2")
+    number("--jitter", 0.0, "S", "Imu stamps are off by up to this, s", "stamp_jitter")
+    number("--drop", 0.0, "FRACTION", "fraction of Imu messages lost at random")
+    number("--latency", 0.0, "S", "mean of log time minus sampling time, s")
     return parser
-
-
-def _add_numbers(group: argparse._ArgumentGroup, options: Mapping[str, Option]) -> None:
-    for name, (field, default, unit, meaning) in options.items():
-        group.add_argument(
-            name, dest=field, type=type(default), default=default, metavar=unit,
-            help=f"{meaning} ({default:g})",
-        )  # fmt: skip
 
 
 def flight_from(options: argparse.Namespace) -> tuple[Plan, Sensors]:

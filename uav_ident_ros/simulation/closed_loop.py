@@ -48,7 +48,7 @@ MODULES = {
 """Modules of the processes, by name."""
 
 BEFORE = 30.0
-"""Longest evaluated time before the fault, s."""
+"""Latest beginning of the evaluation before the fault, s."""
 
 AFTER = (0.0, 5.0, 10.0, 20.0, math.inf)
 """Limits of the evaluated intervals after the fault, s."""
@@ -244,8 +244,7 @@ def make_parser() -> argparse.ArgumentParser:
 def loop_from(options: argparse.Namespace) -> Loop:
     """Return the flight of the options; identify the aircraft first if needed."""
     check_positive(options, "duration")
-    if options.seed < 0:
-        raise SimulationError(f"seed is {options.seed}: it must be 0 or more")
+    check_positive(options, "seed", or_zero=True)
     faults = list(options.fault)
     if options.turbulence:
         faults.append(f"0: turbulence {options.turbulence}")

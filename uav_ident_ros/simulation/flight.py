@@ -43,11 +43,13 @@ def whole_steps(time: float, rate: float, what: str) -> int:
     return round(steps)
 
 
-def check_positive(spec: object, *names: str) -> None:
-    """Raise SimulationError unless all the named fields are positive numbers."""
+def check_positive(spec: object, *names: str, or_zero: bool = False) -> None:
+    """Raise SimulationError unless the named fields are finite and positive, or zero or None."""
     for name in names:
-        if not 0.0 < getattr(spec, name) < math.inf:
-            raise SimulationError(f"{name} is {getattr(spec, name)}: it must be positive")
+        value = getattr(spec, name)
+        if not (0.0 < (value or 0.0) < math.inf or (or_zero and not value)):
+            wanted = "0 or more" if or_zero else "positive"
+            raise SimulationError(f"{name} is {value}: it must be {wanted}")
 
 
 @dataclass(frozen=True)
@@ -104,10 +106,6 @@ class Flight:
     def time(self) -> FloatArray:
         """Times of the samples since the first one, s."""
         return np.asarray((self.t_ns - self.t_ns[0]) * NS)
-
-    def channels(self) -> FloatArray:
-        """Return the raw actuator channels, shape (M, C)."""
-        return self.channel_set.raw(self.inputs, self.trim)
 
     @property
     def channel_trim(self) -> FloatArray:

@@ -91,21 +91,18 @@ class Segment:
         inside = (t >= self.start - 1e-9) & (t < self.start + self.duration - 1e-9)
         peaks = np.array([self.amplitudes.get(name, 0.0) for name in INPUTS])
         active = np.flatnonzero(peaks)
-        if len(active) and inside.any():
-            shapes = self._shapes(t[inside] - self.start, len(active))
-            u[np.ix_(inside, active)] = peaks[active] * shapes
-        return u
-
-    def _shapes(self, t: FloatArray, count: int) -> FloatArray:
-        """Return the normalised inputs, within -1 ... 1, at times (s) since the start."""
-        if self.kind == "quiet":
-            return np.zeros((len(t), count))
+        if self.kind == "quiet" or not len(active) or not inside.any():
+            return u
+        since, count = t[inside] - self.start, len(active)
         if self.kind == "multisine":
             try:
-                return multisines(t, count, self.period, self.band, self.seed)
+                shapes = multisines(since, count, self.period, self.band, self.seed)
             except WaveformError as error:
                 raise SimulationError(str(error)) from error
-        return pulses(t, count, self.kind, self.unit, PAUSE)
+        else:
+            shapes = pulses(since, count, self.kind, self.unit, PAUSE)
+        u[np.ix_(inside, active)] = peaks[active] * shapes
+        return u
 
 
 def sample_inputs(segments: Sequence[Segment], t: FloatArray) -> FloatArray:

@@ -61,10 +61,14 @@ class LiveAircraft(Live):
         keep = np.exp(-1.0 / (rate * time_constant)) if time_constant else 0.0
         self._keep = keep * np.array([1.0, 1.0, 1.0, 0.0])
 
-    def apply(self, fault: Fault) -> None:
-        """Apply a fault now; see `Live.apply`."""
+    def check(self, fault: Fault) -> None:
+        """Refuse a fault of a motor; see `Live.check`."""
         if fault.what in QUADROTOR.names:
             raise SimulationError(f"fault '{fault}': this aircraft has surfaces")
+
+    def apply(self, fault: Fault) -> None:
+        """Apply a fault now; see `Live.apply`."""
+        self.check(fault)
         index = SURFACE_NAMES.index(fault.what) if fault.what in SURFACE_NAMES else 0
         match fault.kind:
             case "repaired":

@@ -73,9 +73,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         check_positive(self, "duration", "rate", "actuator_rate")
-        for name in ("delay", "time_constant"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise SimulationError(f"{name} is {getattr(self, name)} s: it must be 0 or more")
+        check_positive(self, "delay", "time_constant", or_zero=True)
         if self.samples < 2:
             raise SimulationError(
                 f"a duration of {self.duration} s holds no two samples at {self.rate} Hz"
@@ -115,14 +113,19 @@ class Live:
     ) -> None:
         self._substeps = whole_steps(1.0 / sensors.rate, rate, f"rate {sensors.rate:g} Hz")
         self._delay = whole_steps(delay, rate, f"delay {delay:g} s")
-        self._sensors, self.rate = sensors, rate
+        self.sensors, self.rate = sensors, rate
         self._noise = [np.random.default_rng([seed, RANDOM_STREAM + k]) for k in range(3)]
         self._ahead = deque(sorted(faults, key=lambda fault: fault.time))
+        for fault in faults:
+            self.check(fault)
         self._step = 0
         self._underway: deque[tuple[int, FloatArray]] = deque()
 
+    def check(self, fault: Fault) -> None:
+        """Raise SimulationError if the vehicle cannot have a fault."""
+
     def apply(self, fault: Fault) -> None:
-        """Apply a fault now; raise SimulationError if the vehicle cannot have it."""
+        """Apply a fault now, after a `check`."""
         raise NotImplementedError
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:
@@ -142,8 +145,8 @@ class Live:
         raise NotImplementedError
 
     def _attitude(self) -> Sequence[float]:
-        """Return roll, pitch, yaw, rad."""
-        raise NotImplementedError
+        """Return roll, pitch, yaw, rad; nothing if there is no attitude, and so no upset."""
+        return ()
 
     def command(
         self,
@@ -229,28 +232,22 @@ class Live:
         """Time of the newest sample, s after the first."""
         return self._step / self.rate
 
-    @property
-    def period(self) -> float:
-        """Time from one sample to the next, s."""
-        return 1.0 / self._sensors.rate
-
     def sample(self) -> Sample:
         """Return a measurement of the present state; call it once for each sample."""
-        sensors, (rates, force, surfaces, airspeed) = self._sensors, self._state()
+        sensors, (rates, force, surfaces, airspeed) = self.sensors, self._state()
         gyro, accelerometer = (rng.standard_normal(3) for rng in self._noise[:2])
+        between = self._step % (self._substeps * airspeed_step(sensors.rate))
+        if airspeed is None or sensors.airspeed_noise is None or between:
+            airspeed = None
+        else:
+            error = sensors.airspeed_noise * float(self._noise[2].standard_normal())
+            airspeed = airspeed + sensors.airspeed_bias + error
         return Sample(
             time=self.time,
             rates=rates,
             measured_rates=rates + np.asarray(sensors.gyro_bias) + sensors.gyro_noise * gyro,
             measured_force=force + sensors.accelerometer_noise * accelerometer,
-            measured_airspeed=self._measured(airspeed),
+            measured_airspeed=airspeed,
             attitude=np.array(self._attitude()),
             surfaces=surfaces,
         )
-
-    def _measured(self, airspeed: float | None) -> float | None:
-        sensors, every = self._sensors, self._substeps * airspeed_step(self._sensors.rate)
-        if airspeed is None or sensors.airspeed_noise is None or self._step % every:
-            return None
-        error = sensors.airspeed_noise * float(self._noise[2].standard_normal())
-        return airspeed + sensors.airspeed_bias + error

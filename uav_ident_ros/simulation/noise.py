@@ -2,7 +2,6 @@
 """Sensor model of a simulated flight: noise, bias, jitter, drops, frames and stamps."""
 
 import heapq
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,14 +15,17 @@ from uav_ident_ros.identification.estimate import Estimate
 from uav_ident_ros.identification.identifier import OnlineIdentifier
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, ARMED, NS_PER_S, RATES_STREAM
 from uav_ident_ros.identification.structure import FloatArray
-from uav_ident_ros.messages.types import FLU_TO_FRD, FRAME_IDS
-from uav_ident_ros.simulation.flight import Flight, IntArray, SimulationError
+from uav_ident_ros.messages.types import FLU_TO_FRD
+from uav_ident_ros.simulation.flight import (
+    Flight,
+    IntArray,
+    SimulationError,
+    check_positive,
+    whole_steps,
+)
 
 AIRSPEED_RATE = 10.0
 """Rate of a measured airspeed, Hz: about that of PX4 and MAVROS."""
-
-RATE_TOLERANCE = 1e-6
-"""Largest relative error of the Imu rate as a whole fraction of the flight's rate."""
 
 
 def airspeed_step(rate: float) -> int:
@@ -55,10 +57,9 @@ class Sensors:
     stamped: bool = True
 
     def __post_init__(self) -> None:
+        check_positive(self, "rate")
         names = ("gyro_noise", "accelerometer_noise", "airspeed_noise", "stamp_jitter", "latency")
-        for name in names:
-            if not 0.0 <= (getattr(self, name) or 0.0) < math.inf:
-                raise SimulationError(f"{name} is {getattr(self, name)}: it must be 0 or more")
+        check_positive(self, *names, or_zero=True)
         for name in ("gyro_bias", "airspeed_bias", "lever_arm"):
             if not np.isfinite(getattr(self, name)).all():
                 raise SimulationError(f"{name} is {getattr(self, name)}: finite numbers are needed")
@@ -143,11 +144,6 @@ class Measurements(Samples):
     true_t_ns: IntArray  # (N,) True sampling times of the Imu messages, ns
 
     @property
-    def frame_id(self) -> str:
-        """frame_id of the Imu messages."""
-        return FRAME_IDS[self.sensors.convention]
-
-    @property
     def true_rates(self) -> FloatArray:
         """Noise-free p, q, r (FRD, rad/s) at the true times of the Imu samples."""
         return self.flight.rates[np.searchsorted(self.flight.t_ns, self.true_t_ns)]
@@ -162,7 +158,7 @@ def measure(
 ) -> Measurements:
     """Return the messages of a flight's sensors."""
     sensors = sensors or Sensors()
-    every = _decimation(flight, sensors)
+    every = whole_steps(1.0 / sensors.rate, flight.rate, f"Imu rate {sensors.rate:g} Hz")
     gyro, accelerometer, drops, jitter, delays, pitot = (
         np.random.default_rng([seed, 100 + k]) for k in range(6)
     )
@@ -195,21 +191,11 @@ def measure(
         specific_force=force[keep] * axes,
         actuator_t_ns=flight.actuator_t_ns if sensors.stamped else actuator_log_ns,
         actuator_log_ns=actuator_log_ns,
-        actuators=flight.channels(),
+        actuators=flight.channel_set.raw(flight.inputs, flight.trim),
         airspeed_t_ns=airspeed_t_ns,
         airspeed_log_ns=_log_times(airspeed_t_ns, sensors.latency, delays),
         airspeed=airspeed + noise * pitot.standard_normal(len(airspeed)),
     )
-
-
-def _decimation(flight: Flight, sensors: Sensors) -> int:
-    every = flight.rate / sensors.rate
-    if round(every) < 1 or abs(every - round(every)) > RATE_TOLERANCE * every:
-        raise SimulationError(
-            f"Imu rate {sensors.rate:g} Hz is no whole fraction of the {flight.rate:g} Hz of "
-            f"flight '{flight.name}'"
-        )
-    return round(every)
 
 
 def _log_times(t_ns: IntArray, latency: float, rng: np.random.Generator) -> IntArray:

@@ -200,6 +200,3 @@ class _LivePlant(Live):
                 "amplitudes or gains"
             )
         return row
-
-    def _attitude(self) -> Sequence[float]:
-        return 0.0, 0.0, 0.0  # no attitude, and so no upset

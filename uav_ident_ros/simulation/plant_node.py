@@ -61,8 +61,6 @@ COEFFICIENTS_WITHIN_NS = 200_000_000
 TICK_NS = TICK_DUE_NS = 50_000_000
 """Period of the ticks, and age of a tick at the newest Imu sample when it is due, ns."""
 
-UNLIMITED = [math.inf] * 4
-
 QUEUE = 50
 """Depth of the queues, all reliable: lock-step needs every message."""
 
@@ -151,7 +149,7 @@ class PlantNode(Node):
         self._excite = self.create_client(SetBool, "identifier/excite")
         refusing = CoefficientSource(Fallback.REFUSE)
         self._identified = subscribe(self, refusing, callback=self._on_coefficients)
-        self._requests = Excitation(UNLIMITED)
+        self._requests = Excitation([math.inf] * 4)
         subscribe_excitation(self, self._requests)
 
     def _going(self) -> bool:
@@ -255,9 +253,8 @@ class PlantNode(Node):
         self._imu.publish(_imu_message(self._now_ns, sample))
         if self._lock_step:
             self._wait_for_answers()
-            self._excite_if_due()
-        else:
-            self._excite_if_due()
+        self._excite_if_due()
+        if not self._lock_step:
             end = began + (self._now_ns + self._period_ns - self._start_ns) / NS_PER_S
             self._wait(lambda: False, end - time.monotonic())
         self._answer(sample)

@@ -77,15 +77,10 @@ def prepare(
 
 
 def write(prepared: Prepared, folder: Path) -> None:
-    """Write ``NAME.yaml``, the parameters of all nodes, and ``NAME_coefficients.yaml``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    name = prepared.airframe.name
-    save_coefficients(prepared.coefficients, folder / f"{name}_coefficients.yaml")
-    (folder / f"{name}.yaml").write_text(parameter_file(prepared), encoding="utf-8")
+    """Write ``NAME_coefficients.yaml``, and ``NAME.yaml``, the parameters of all nodes.
 
-
-def parameter_file(prepared: Prepared) -> str:
-    """Return the ROS parameter file of the loop's nodes: the c172p's, adapted to the aircraft."""
+    They are those of the c172p, adapted to the aircraft.
+    """
     frame = prepared.airframe
     trim, least, largest = (v.tolist() for v in (prepared.trim, *prepared.limits))
     added = EXCITED_SHARE * 0.5 * (prepared.limits[1] - prepared.limits[0])
@@ -110,4 +105,7 @@ def parameter_file(prepared: Prepared) -> str:
     for name, values in own.items():
         nodes[f"/**/{name}"]["ros__parameters"] |= values
     where = f"{frame.name} at {frame.speed:.1f} m/s and {frame.altitude:.0f} m"
-    return yaml_text(nodes, f"The closed loop of {where}.")
+    folder.mkdir(parents=True, exist_ok=True)
+    save_coefficients(prepared.coefficients, folder / f"{frame.name}_coefficients.yaml")
+    text = yaml_text(nodes, f"The closed loop of {where}.")
+    (folder / f"{frame.name}.yaml").write_text(text, encoding="utf-8")

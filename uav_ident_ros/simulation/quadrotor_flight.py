@@ -4,6 +4,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain, repeat
 
 import numpy as np
 
@@ -64,10 +65,6 @@ class Body:
         }
 
 
-NO_GUST = (0.0, 0.0, 0.0)
-"""No gust."""
-
-
 TILT_GAIN, TILT_RATE_GAIN, YAW_GAIN = 0.3, 0.06, 0.35
 """Gains of the autopilot: input per rad and per rad/s of roll and pitch, and per rad/s of yaw."""
 
@@ -119,19 +116,27 @@ class LiveQuadrotor(Live):
         self.state = [0.0] * 10
         self.speeds = [self.body.hover] * 4  # Of the motors, 0 ... 1
         self.effect = [1.0] * 4  # Remaining share of each motor's thrust
-        self._gusts = iter(() if gusts is None else gusts.tolist())
+        self._gusts = chain([] if gusts is None else gusts.tolist(), repeat([0.0] * 3))
         self.trim = np.array([0.0, 0.0, 0.0, self.body.hover])
         self._commanded: FloatArray = self.trim[:3]
         self.outputs = self._acting = QUADROTOR.trim(self.trim)
-        for fault in faults:
-            _motor(fault)
+
+    def check(self, fault: Fault) -> None:
+        """Refuse a fault of anything but a motor; see `Live.check`."""
+        of_motor = fault.kind == "effect" and fault.what in self.names
+        if not (of_motor or fault.kind == "repaired"):
+            raise SimulationError(
+                f"fault '{fault}': a quadrotor knows 'MOTOR effect FACTOR', of "
+                f"{', '.join(self.names)}, and 'repaired'"
+            )
 
     def apply(self, fault: Fault) -> None:
         """Apply a fault now; see `Live.apply`."""
-        if (motor := _motor(fault)) is None:
-            self.effect = [1.0] * len(QUADROTOR.names)
+        self.check(fault)
+        if fault.kind == "repaired":
+            self.effect = [1.0] * len(self.names)
         else:
-            self.effect[motor] = fault.value or 0.0
+            self.effect[self.names.index(fault.what)] = fault.value or 0.0
 
     def motors(self, inputs: FloatArray) -> FloatArray:
         """Return the motors' commands for de, dr, da, dth, within 0 ... 1."""
@@ -171,7 +176,7 @@ class LiveQuadrotor(Live):
 
     def loads(
         self,
-        gust: Sequence[float] = NO_GUST,  # Angular acceleration by the gust, rad/s^2
+        gust: Sequence[float] = (0.0, 0.0, 0.0),  # Angular acceleration by it, rad/s^2
     ) -> tuple[list[float], list[float]]:
         """Return specific force, m/s^2, and angular acceleration, rad/s^2, in the present state."""
         body = self.body
@@ -196,7 +201,7 @@ class LiveQuadrotor(Live):
 
     def _fly(self, acting: FloatArray, moved: bool) -> list[float]:
         """Simulate one step: motor speeds exactly, the motion to second order."""
-        h, gust = 1.0 / self.rate, next(self._gusts, NO_GUST)
+        h, gust = 1.0 / self.rate, next(self._gusts)
         state, before = self.state, self.speeds
         decay = math.exp(-0.5 * h / self.body.time_constant)
         aims = [min(max(c, 0.0), 1.0) for c in acting.tolist()]
@@ -223,18 +228,6 @@ class LiveQuadrotor(Live):
             force[2] + GRAVITY * math.cos(pitch) * math.cos(roll) - p * v + q * u,
             self._sinking,
         ]
-
-
-def _motor(fault: Fault) -> int | None:
-    """Return the index of a fault's motor; None for ``repaired``."""
-    if fault.kind == "repaired":
-        return None
-    if fault.kind != "effect" or fault.what not in QUADROTOR.names:
-        raise SimulationError(
-            f"fault '{fault}': a quadrotor knows 'MOTOR effect FACTOR', of "
-            f"{', '.join(QUADROTOR.names)}, and 'repaired'"
-        )
-    return QUADROTOR.names.index(fault.what)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -120,19 +120,17 @@ class RateReference(Node):
 
     def __init__(self) -> None:
         super().__init__("rate_reference")
-        value = read_parameters(self, PARAMETERS)
-        low, high = value.pop("hold")
-        self._manoeuvres = Manoeuvres(hold=(low, high), **value)
-        self._first_ns = self._last_ns = 0
+        self._value = read_parameters(self, PARAMETERS)
+        self._last_ns = sys.maxsize
         best_effort = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._publisher = self.create_publisher(Vector3Stamped, "rate_reference", 50)
         self.create_subscription(Imu, "imu/data", self._on_imu, best_effort)
 
     def _on_imu(self, message: Imu) -> None:
         t_ns = header_ns(message)
-        if not self._last_ns < t_ns:
-            self._first_ns = self._last_ns = t_ns
-        self._first_ns = self._first_ns or t_ns
+        if t_ns < self._last_ns:  # the first message, of this flight or of a new one
+            self._manoeuvres = Manoeuvres(**self._value)
+            self._first_ns, self._last_ns = t_ns, 0  # its rates are not smoothed
         roll, pitch = attitude(message.orientation)
         since, dt = (t_ns - self._first_ns) / NS_PER_S, (t_ns - self._last_ns) / NS_PER_S
         self._last_ns = t_ns

@@ -24,6 +24,7 @@ from uav_ident_ros.files.parameter_file import PARAMETER_FILE
 from uav_ident_ros.files.truth_file import TRUTH_FILE
 from uav_ident_ros.identification.samples import ACTUATORS, AIRSPEED, RATES_STREAM
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
+from uav_ident_ros.messages.types import FRAME_IDS
 from uav_ident_ros.simulation.noise import Measurements, SentSample
 
 TOPICS = {RATES_STREAM: "/imu/data", ACTUATORS: "/actuators", AIRSPEED: "/airspeed"}
@@ -41,7 +42,8 @@ def as_message(measured: SentSample, m: Measurements) -> Any:
     """Return the ROS message of a sample."""
     t_ns, values = measured.t_ns, measured.values
     if measured.stream == RATES_STREAM:
-        return imu(t_ns, values[:3], values[3:], m.frame_id, covariances=m.sensors.covariances)
+        frame, covariances = FRAME_IDS[m.sensors.convention], m.sensors.covariances
+        return imu(t_ns, values[:3], values[3:], frame, covariances=covariances)
     if measured.stream == AIRSPEED:
         return twist_stamped(t_ns, (*values, 0.0, 0.0))
     return (
