@@ -27,8 +27,6 @@ from uav_ident_ros.monitor.watched_node import WatchedNode
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.ros import domain
 
-OUTPUT_TYPE = "sensor_msgs/msg/JointState"
-
 STATUS_DEPTH = 50
 """Depth of the queue of /diagnostics, which all nodes of a robot share."""
 
@@ -54,10 +52,8 @@ def identifiers(guest: Guest) -> list[str]:
     """Return the full names of the identifiers that publish now, sorted."""
     return sorted(
         topic.removesuffix(f"/{NAMED}")
-        for topic, types in guest.node.get_topic_names_and_types()
-        if topic.endswith(f"/{NAMED}")
-        and OUTPUT_TYPE in types
-        and guest.node.count_publishers(topic) > 0
+        for topic, _ in guest.node.get_topic_names_and_types()
+        if topic.endswith(f"/{NAMED}") and guest.node.count_publishers(topic) > 0
     )
 
 
