@@ -24,7 +24,6 @@ from uav_ident_ros.bags.writing import (
     whole,
 )
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.messages.published import coefficients_layout, dense_coefficients, named_entries
 from uav_ident_ros.offline import NODE_NAME
@@ -68,10 +67,6 @@ class Ticks(Sequence[Estimate]):
         values, sigma = np.zeros(mask.shape), np.zeros(mask.shape)
         values[mask], sigma[mask] = estimate.coefficients, estimate.sigma
         return replace(estimate, coefficients=values, sigma=sigma)
-
-    def stamps(self) -> TimeArray:
-        """Return the message times of the ticks, ns, shape (K,)."""
-        return np.array([estimate.t_ns for estimate in self._estimates], dtype=np.int64)
 
     def history(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """Return one coefficient and its standard deviation over the ticks, (K,) each."""

@@ -146,13 +146,8 @@ def whiteness_chart(flight: ReplayedFlight, tick: Predictions) -> Chart | None:
 
 
 def spectrum_charts(flight: ReplayedFlight) -> Iterator[Chart]:
-    """Yield the power densities of inputs and rates; none for less than two segments.
-
-    They are those of the longest time base, by Welch's method.
-    """
-    part = max(flight.time_bases, key=lambda p: len(p.t_ns))
-    t = flight.seconds(part.era, part.t_ns)
-    even = np.arange(t[0], t[-1], 1.0 / SAMPLE_RATE)
+    """Yield the power densities of inputs and rates by Welch's method; none if it is too short."""
+    even = np.arange(flight.t[0], flight.t[-1], 1.0 / SAMPLE_RATE)
     segment = round(SEGMENT_TIME * SAMPLE_RATE)
     if len(even) < 2 * segment:
         return
