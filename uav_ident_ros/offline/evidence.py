@@ -90,7 +90,7 @@ class Evidence:
 def gather(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Return the evidence of a replay with at least one estimate."""
     identifier, result = run.identifier, run.result()
-    flown = run.longest()
+    flown = run.flown()
     inputs = flown.inputs.u if len(flown.inputs.u) else np.zeros((1, len(INPUTS)))
     flown_ns = int(flown.t_ns[-1] - flown.t_ns[0]) - PAUSE_NS * len(run.restarts)
     return Evidence(

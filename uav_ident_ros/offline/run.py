@@ -11,7 +11,7 @@ import sys
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,31 +53,6 @@ PIECE = 4096
 PAUSE_NS = NS_PER_S
 """Time between two time bases on the clock of the flight, ns: the true time is unknown, or days. No
 window of the score spans it."""
-
-
-@dataclass(frozen=True)
-class Stretch(Flown):
-    """Measurements of a flight, by its clock, and the estimates with one delay of the inputs."""
-
-    _: KW_ONLY
-    ticks: Ticks  # The estimates with that delay
-    tick_ns: TimeArray  # Their times, ns
-
-    def pieces(self, horizon: float) -> Iterator[tuple[Flown, Published]]:
-        """Yield groups of ticks with the measurements for predictions `horizon` s ahead.
-
-        The grid of a group takes some MB; that of an hour would take hundreds.
-        """
-        ahead_ns = round(horizon * NS_PER_S)
-        for first in range(0, len(self.ticks), PIECE):
-            which = slice(first, first + PIECE)
-            stamps = self.tick_ns[which]
-            begin = np.searchsorted(self.t_ns, stamps[0], side="right") - 1
-            end = np.searchsorted(self.t_ns, stamps[-1] + ahead_ns) + 1
-            measured = slice(max(int(begin), 0), int(end))
-            parts = {name: getattr(self, name)[measured] for name in ("t_ns", "rates", "force")}
-            published = Published.of(self.ticks[which], self.ticks.structure)
-            yield replace(self, **parts), replace(published, t_ns=stamps)
 
 
 LINE_EVERY = 30.0
@@ -263,31 +238,42 @@ class OfflineRun:
 
     def score(self) -> dict[str, PredictionFit]:
         """Return the score of record of the estimates, as if no time had passed in the pauses."""
-        stretches = list(self.stretches())
-        pieces = (piece for part in stretches for piece in part.pieces(HORIZONS[-1]))
-        errors = WindowErrors.join([window_errors(*piece) for piece in pieces])
+        errors = WindowErrors.join([window_errors(*piece) for piece in self.pieces(HORIZONS[-1])])
         pauses = np.searchsorted(self.restarts, errors.t_ns, side="right")
         errors = replace(errors, t_ns=errors.t_ns - PAUSE_NS * pauses)
-        t_ns = stretches[0].t_ns
+        t_ns, _ = self._rates.samples()
         return score_windows(errors, int(t_ns[0]), int(t_ns[-1]) - PAUSE_NS * len(self.restarts))
 
-    def stretches(self) -> Iterator[Stretch]:
-        """Yield the measurements with the estimates of every delay and lag of the inputs."""
+    def flown(self) -> Flown:
+        """Return the measurements, by the clock of the flight; the inputs act as at most ticks."""
         imu = self.inputs.settings.imu
         arm, frame = np.array(imu.lever_arm), BodyFrame(imu)
         t_ns, values = self._rates.samples()
         rates, force = frame.to_body(values[:, :3]), frame.to_body(values[:, 3:])[:, 1:].copy()
         raw_t_ns, raw = self._actuators.samples()
         # The identifier's own map has the trim that it may have learned in flight.
-        u, tick_ns = self.identifier.sampler.input_map.apply(raw), np.array(self.tick_ns)
-        for (delay, lag), which in sorted(self._ticks_of.items()):
-            inputs = InputSignal(raw_t_ns, u, delay, lag)
-            ticks = self.estimates.chosen(which)
-            yield Stretch(t_ns, rates, inputs, force, arm, ticks=ticks, tick_ns=tick_ns[which])
+        u = self.identifier.sampler.input_map.apply(raw)
+        delay, lag = max(self._ticks_of, key=lambda acting: len(self._ticks_of[acting]))
+        return Flown(t_ns, rates, InputSignal(raw_t_ns, u, delay, lag), force, arm)
 
-    def longest(self) -> Stretch:
-        """Return the stretch with the most ticks."""
-        return max(self.stretches(), key=lambda part: len(part.ticks))
+    def pieces(self, horizon: float) -> Iterator[tuple[Flown, Published]]:
+        """Yield groups of ticks with the measurements for predictions `horizon` s ahead.
+
+        The inputs of a group have one delay. Its grid takes some MB; that of an hour would take
+        hundreds.
+        """
+        flown, tick_ns, ahead_ns = self.flown(), np.array(self.tick_ns), round(horizon * NS_PER_S)
+        for (delay, lag), ticks in sorted(self._ticks_of.items()):
+            inputs = replace(flown.inputs, delay=delay, time_constant=lag)
+            for first in range(0, len(ticks), PIECE):
+                which = ticks[first : first + PIECE]
+                stamps = tick_ns[which]
+                begin = np.searchsorted(flown.t_ns, stamps[0], side="right") - 1
+                end = np.searchsorted(flown.t_ns, stamps[-1] + ahead_ns) + 1
+                near = slice(max(int(begin), 0), int(end))
+                parts = {name: getattr(flown, name)[near] for name in ("t_ns", "rates", "force")}
+                published = Published.of(self.estimates.chosen(which), self.structure)
+                yield replace(flown, inputs=inputs, **parts), replace(published, t_ns=stamps)
 
     def blocks(self, inputs: InputSignal) -> Iterator[Block]:
         """Yield the signals on a uniform grid, in blocks of at most `PORTION`.

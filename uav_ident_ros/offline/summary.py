@@ -69,7 +69,7 @@ def _mixed_frames(run: OfflineRun) -> Iterator[str]:
 
 def _missing_actuators(run: OfflineRun) -> Iterator[str]:
     """Yield notes on actuators that start late or stop early."""
-    flown = run.longest()
+    flown = run.flown()
     imu, actuators = flown.t_ns, flown.inputs.t_ns
     if not len(actuators):
         topic = run.inputs.streams["actuators"]

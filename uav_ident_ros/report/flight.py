@@ -26,8 +26,8 @@ class ReplayedFlight:
         self.structure = run.structure  # Structure of the estimates
         self.settings = run.inputs.settings
         self.estimates = run.estimates  # One per tick
-        self.stretches = list(run.stretches())
-        flown = run.longest()
+        self.pieces = run.pieces
+        flown = run.flown()
         self._first_ns = int(flown.t_ns[0])
         # Times at which a new time base begins, s
         self.restarts = [(start_ns - self._first_ns) * NS for start_ns in run.restarts]
@@ -83,13 +83,9 @@ class Predictions:
 
 def predict(flight: ReplayedFlight, horizon: float) -> Predictions:
     """Return the free predictions from every tick for `horizon` s."""
-    parts = []
-    for part in flight.stretches:
-        for piece in part.pieces(horizon):
-            t_ns, predicted = predict_ahead(*piece, horizon)
-            parts.append((flight.seconds(t_ns), predicted))
-    t, predicted = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.argsort(t, kind="stable")
-    t, predicted = t[order], predicted[order]
+    parts = [predict_ahead(*piece, horizon) for piece in flight.pieces(horizon)]
+    t_ns, predicted = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(t_ns, kind="stable")
+    t, predicted = flight.seconds(t_ns[order]), predicted[order]
     measured = np.stack([np.interp(t, flight.t, column) for column in flight.rates.T], axis=1)
     return Predictions(horizon, t, predicted, measured)
