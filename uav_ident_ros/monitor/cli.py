@@ -45,7 +45,7 @@ LOOK_AGAIN = 1.0
 
 
 class MonitorError(Exception):
-    """There are several identifiers; the message lists them."""
+    """There is no identifier, or several; the arguments are a message and the exit status."""
 
 
 def identifiers(guest: Guest) -> list[str]:
@@ -67,10 +67,8 @@ def find(
     guest.spin_for(OTHERS_TIME)
     found = identifiers(guest)
     if len(found) > 1:
-        listed = "\n  ".join(found)
-        raise MonitorError(
-            f"there are {len(found)} identifiers: choose one with --node\n  {listed}"
-        )
+        several = f"there are {len(found)} identifiers: choose one with --node"
+        raise MonitorError("\n  ".join([several, *found]), USAGE_ERROR)
     return found[0] if found else ""
 
 
@@ -126,16 +124,14 @@ def once(guest: Guest, node: str | None, timeout: float) -> int:
 
     node = node or find(guest, timeout)
     if not node:
-        found = f"no identifier was found for {timeout:g} s: does one run, {domain()}?"
-        print(f"monitor: {found}", file=sys.stderr)
-        return NOTHING_RECEIVED
+        problem = f"no identifier was found for {timeout:g} s: does one run, {domain()}?"
+        raise MonitorError(problem, NOTHING_RECEIVED)
     watched = discover(guest, node)
     guest.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
     if watched.newest is None and not watched.state:
         others = ", ".join(identifiers(guest))
         there = f"; running: {others}" if others else f": does it run, {domain()}?"
-        print(f"monitor: no message of '{node}' for {timeout:g} s{there}", file=sys.stderr)
-        return NOTHING_RECEIVED
+        raise MonitorError(f"no message of '{node}' for {timeout:g} s{there}", NOTHING_RECEIVED)
     View(plain=True).show(watched)
     return USABLE if watched.usable else NOT_USABLE
 
@@ -165,8 +161,9 @@ def main(arguments: list[str] | None = None) -> int:
             return once(guest, options.node, options.timeout)
         watch(guest, options.node, options.plain)
     except MonitorError as error:
-        print(f"monitor: {error}", file=sys.stderr)
-        return USAGE_ERROR
+        problem, status = error.args
+        print(f"monitor: {problem}", file=sys.stderr)
+        return int(status)
     except KeyboardInterrupt:
         return INTERRUPTED if options.once else 0
     except BrokenPipeError:
