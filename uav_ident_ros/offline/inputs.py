@@ -36,12 +36,8 @@ def choose_inputs(
 ) -> BagInputs:
     """Find the input topics of a bag.
 
-    Raises
-    ------
-    BagError
-        If a topic is missing, not of a usable type, or there are several to choose from.
-    SettingsError
-        If a parameter is wrong.
+    Raises `BagError` if a topic is missing, not of a usable type, or there are several to choose
+    from, and `SettingsError` if a parameter is wrong.
     """
     values = dict(parameters)
     Settings.from_values(values)  # errors of the parameters come before those of the bag

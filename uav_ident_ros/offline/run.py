@@ -146,10 +146,7 @@ class OfflineRun:
     ) -> None:
         """Run the identifier on all messages of the topics, in the order of log time.
 
-        Raises
-        ------
-        BagError
-            If a topic is missing, its type is unknown, or nothing can be read.
+        Raises `BagError` if a topic is missing, its type is unknown, or nothing can be read.
         """
         topics = self.inputs.topics
         for stream in STREAMS:

@@ -49,12 +49,9 @@ def signals(flight: ReplayedFlight) -> FloatArray:
 
 
 def autocorrelation(residual: FloatArray, lags: int) -> FloatArray:
-    """Return the autocorrelation of residuals (N, m) at lags of 1 to `lags` samples.
+    """Return the autocorrelation of residuals (N, m) at lags of 1 to `lags` samples, (lags, m).
 
-    Returns
-    -------
-    (lags, m) array
-        0 for white noise, of which 95 % is within 1.96 / sqrt(N) of zero.
+    It is 0 for white noise, of which 95 % is within 1.96 / sqrt(N) of zero.
     """
     centred = residual - residual.mean(axis=0)
     power = (centred**2).sum(axis=0)

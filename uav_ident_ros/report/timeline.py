@@ -6,18 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from bokeh.models import (
-    BoxZoomTool,
-    ColumnDataSource,
-    CrosshairTool,
-    HoverTool,
-    PanTool,
-    Range1d,
-    ResetTool,
-    SaveTool,
-    Span,
-    WheelZoomTool,
-)
+from bokeh import models
 from bokeh.plotting import figure
 
 from uav_ident_ros.identification.structure import FloatArray
@@ -45,20 +34,20 @@ class Chart:
     small: bool = False  # Whether several charts stand side by side
 
 
-def columns(values: Mapping[str, Any]) -> ColumnDataSource:
+def columns(values: Mapping[str, Any]) -> models.ColumnDataSource:
     """Return a data source in single precision, which halves the size of the page."""
-    return ColumnDataSource(
+    return models.ColumnDataSource(
         {name: np.asarray(column, dtype=np.float32) for name, column in values.items()}
     )
 
 
-def value_range(*values: FloatArray) -> Range1d:
+def value_range(*values: FloatArray) -> models.Range1d:
     """Return a range that holds all finite values."""
     every = np.concatenate([np.ravel(v) for v in values])
     every = every[np.isfinite(every)]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 0.0)
     room = max(AXIS_MARGIN * (high - low), 1e-9)
-    return Range1d(low - room, high + room)
+    return models.Range1d(low - room, high + room)
 
 
 def plain_figure(height: int, along: str | None, unit: str, **options: Any) -> Any:
@@ -84,14 +73,14 @@ def plain_figure(height: int, along: str | None, unit: str, **options: Any) -> A
     result.axis.axis_label_text_font_style = "normal"
     result.axis.axis_label_standoff = 2
     result.xaxis.axis_label, result.yaxis.axis_label = along, unit
-    if isinstance(result.y_range, Range1d):
+    if isinstance(result.y_range, models.Range1d):
         result.yaxis.ticker.desired_num_ticks = 4
     return result
 
 
 def hover(chart: Any, drawn: Any, *tips: tuple[str, str], mode: str = "mouse") -> None:
     """Add tooltips to a drawn object: pairs of a label and a field."""
-    chart.add_tools(HoverTool(renderers=[drawn], mode=mode, tooltips=[*tips], visible=False))
+    chart.add_tools(models.HoverTool(renderers=[drawn], mode=mode, tooltips=[*tips], visible=False))
 
 
 class Timeline:
@@ -104,26 +93,26 @@ class Timeline:
     ) -> None:
         self.span = span
         self._restarts = restarts
-        self._range = Range1d(*span, bounds=span)
-        self._cross = Span(
+        self._range = models.Range1d(*span, bounds=span)
+        self._cross = models.Span(
             dimension="height", line_color=COLORS["muted"], line_dash="dashed", line_width=1
         )
 
     def figure(self, unit: str, height: int, **options: Any) -> Any:
         """Return an empty chart over time that pans and zooms with all others."""
         result = plain_figure(height, "time [s]", unit, x_range=self._range, **options)
-        pan, wheel = PanTool(dimensions="width"), WheelZoomTool(dimensions="width")
+        pan, wheel = models.PanTool(dimensions="width"), models.WheelZoomTool(dimensions="width")
         wheel.modifiers = {"ctrl": True}  # the bare wheel scrolls the page
-        result.add_tools(pan, wheel, CrosshairTool(overlay=self._cross))
+        result.add_tools(pan, wheel, models.CrosshairTool(overlay=self._cross))
         result.toolbar.active_drag, result.toolbar.active_scroll = pan, wheel
         if height < WITH_BUTTONS:
             result.toolbar_location = None
         else:
-            result.add_tools(BoxZoomTool(), ResetTool(), SaveTool())
+            result.add_tools(models.BoxZoomTool(), models.ResetTool(), models.SaveTool())
         result.min_border_right = 12
         for restart in self._restarts:
             result.add_layout(
-                Span(dimension="height", location=restart, line_dash="dotted", line_width=1)
+                models.Span(dimension="height", location=restart, line_dash="dotted", line_width=1)
             )
         return result
 
@@ -132,13 +121,13 @@ class Timeline:
         t: FloatArray,  # (k,) Times, s, rising
         signals: Mapping[str, FloatArray],  # Names and values, (k,) each
         bins: tuple[float, int],  # Bins per second, and at most
-    ) -> ColumnDataSource:
+    ) -> models.ColumnDataSource:
         """Return a data source of signals, thinned without losing a peak."""
         per_second, most = bins
         return columns(thin(t, signals, min(most, max(1, round(per_second * self.span[1])))))
 
     def line(
-        self, chart: Any, source: ColumnDataSource, column: str, color: str, **options: Any
+        self, chart: Any, source: models.ColumnDataSource, column: str, color: str, **options: Any
     ) -> tuple[str, str]:
         """Draw a column of a source over its column ``t``; return its entry in a legend.
 
@@ -162,10 +151,7 @@ def thin(
 ) -> dict[str, FloatArray]:
     """Return the smallest and the largest value of every column in every bin of time.
 
-    Returns
-    -------
-    dict
-        ``t`` and the columns, of one length; NaN between two pieces.
+    The result has ``t`` and the columns, of one length, with NaN between two pieces.
     """
     values = np.stack([np.asarray(column, dtype=float) for column in columns.values()], axis=1)
     gaps = np.flatnonzero(np.diff(t) > LONGEST_GAP) + 1  # the first samples after them
