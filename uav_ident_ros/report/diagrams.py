@@ -133,13 +133,7 @@ def whiteness_chart(flight: ReplayedFlight, tick: Predictions) -> Chart | None:
     chart.add_layout(
         BoxAnnotation(bottom=-bound, top=bound, fill_color=COLORS["measured"], fill_alpha=0.2)
     )
-    return Chart(
-        "whiteness",
-        "Autocorrelation of the residuals",
-        chart,
-        "Residuals one tick ahead over the last 40 %. White noise stays in the grey band 95 times "
-        "in 100. What stands out is a lag, a missing term, or gusts.",
-    )
+    return Chart("whiteness", "Autocorrelation of the residuals", chart)
 
 
 def spectrum_charts(flight: ReplayedFlight) -> Iterator[Chart]:
@@ -219,13 +213,7 @@ def mode_chart(found: Sequence[Mode]) -> Chart:
     chart.ellipse("re", "im", **size, source=source, color=COLORS["tick"], fill_alpha=0.25)
     drawn = chart.scatter("re", "im", source=source, size=8, marker="x", color=COLORS["tick"])
     hover(chart, drawn, ("", "@name"), ("real", "@re{0.000}"), ("imaginary", "@im{0.000}"))
-    return Chart(
-        "mode-plane",
-        "Modes in the complex plane",
-        chart,
-        "Each cross is an eigenvalue, its ellipse one standard deviation. What is right of zero, "
-        "in the shaded half, grows.",
-    )
+    return Chart("mode-plane", "Modes in the complex plane", chart)
 
 
 def _span(values: FloatArray) -> tuple[float, float]:
@@ -256,10 +244,4 @@ def delay_chart(
     chart.add_layout(
         Span(dimension="height", location=1e3 * in_use, line_color=COLORS["ahead"], line_width=2)
     )
-    return Chart(
-        "delay-curve",
-        "Prediction error over delay",
-        chart,
-        "How much worse models predict the next second when the inputs are taken that much later. "
-        "A sharp valley is a known delay, a flat one is not. The orange line is the delay in use.",
-    )
+    return Chart("delay-curve", "Prediction error over delay", chart)

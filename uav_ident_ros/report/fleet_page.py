@@ -50,7 +50,7 @@ def _section(k: int, aircraft: FlownAircraft) -> Section:
         "Orange flights are where a coefficient changed, or stands out."
     )
     charts = [*_charts(k, aircraft)]
-    return Section(f"aircraft-{k}", aircraft.name or "no name", [text], tables, charts)
+    return Section(f"aircraft-{k}", aircraft.name or "no name", tables, charts, [text])
 
 
 def _charts(k: int, aircraft: FlownAircraft) -> Iterator[Chart]:

@@ -42,9 +42,9 @@ class Section:
 
     id: str
     heading: str
-    texts: Sequence[str] = ()
     tables: Sequence[Table] = ()
     charts: Sequence[Chart] = ()
+    texts: Sequence[str] = ()  # Beyond those of the template
     cards: Sequence[Mapping[str, Any]] = ()
 
 
@@ -56,68 +56,35 @@ def sections(replayed: Replayed) -> Iterator[Section]:
     tick = predict(flight, 1.0 / flight.settings.update_rate)
     fit = summary["prediction_fit"][FIT_WINDOWS]
     cards = [tables.card(fit, axis) for axis in RATES]
-    yield Section("fit", "Fit", [_FIT_TEXT], [*fit_tables(summary)], cards=cards)
+    yield Section("fit", "Fit", [*fit_tables(summary)], cards=cards)
     states = state_chart(flight, line, lost)
-    yield Section("learning", "Learning", [], [tables.gates_table(lost)], [states])
+    yield Section("learning", "Learning", [tables.gates_table(lost)], [states])
     whiteness = diagrams.whiteness_chart(flight, tick)
     charts = [*rate_charts(flight, line, tick), *([whiteness] if whiteness else [])]
-    yield Section("rates", "Rates, measured and predicted", [_RATES_TEXT], [], charts)
+    yield Section("rates", "Rates, measured and predicted", charts=charts)
     truth = read_truth(replayed.bag, flight.structure)
     coefficients = [*coefficient_charts(flight, line, truth)]
-    text = _COEFFICIENTS_TEXT
-    if flight.settings.airspeed.type:
-        text += (
-            " The charts are at the airspeed flown, the table is at the reference, "
-            f"{flight.settings.airspeed.reference:g} m/s."
-        )
+    texts, airspeed = [], flight.settings.airspeed
+    if airspeed.type:
+        at = f"{airspeed.reference:g} m/s"
+        texts = [f"The charts are at the airspeed flown, the table is at the reference, {at}."]
     table = coefficients_table(summary, truth)
     known = [table, *tables.coefficient_correlations(identifier.estimator.information)]
-    yield Section("coefficients", "Coefficients", [text], known, coefficients)
+    yield Section("coefficients", "Coefficients", known, coefficients, texts)
     if replayed.modes:
         charts = [diagrams.mode_chart(replayed.modes)]
-        yield Section("modes", "Modes", [_MODES_TEXT], [modes_table(summary)], charts)
+        yield Section("modes", "Modes", [modes_table(summary)], charts)
     charts = [
         *signal_charts(flight, line),
         *diagrams.spectrum_charts(flight),
         *diagrams.coverage_charts(flight),
     ]
     numbers = [tables.correlations_table(flight)]
-    yield Section("inputs", "Inputs, forces and states", [_INPUTS_TEXT], numbers, charts)
+    yield Section("inputs", "Inputs, forces and states", numbers, charts)
     yield _delay_section(identifier.delays, identifier.delay)
-    yield Section("messages", "Messages", [], [tables.messages_table(summary)])
-    yield Section("settings", "Settings", [], [*tables.settings_tables(summary)])
-    yield Section("origin", "Origin", [], [*tables.origin_tables(replayed.bag)])
-
-
-_FIT_TEXT = (
-    "Fit of the predictions to the measured rates over the last 40 % of the flight: 100 % is "
-    "perfect, 0 % no better than the mean. The prediction is free: after the start of each window "
-    "only the inputs are measured. The bars above are over 1 s; the mark on a bar is the fit of "
-    "holding the rates."
-)
-
-_RATES_TEXT = (
-    "Every prediction starts from the measured rates, 1 s or one tick before, with the "
-    "coefficients known then and the inputs measured since. Residuals are measured minus "
-    "predicted. Axes of the body: forward, right, down."
-)
-
-_COEFFICIENTS_TEXT = (
-    "The band is one standard deviation to either side. The dashed line is the true value, for a "
-    "simulated bag. A coefficient with a t-ratio below three is pale: it is not known."
-)
-
-_INPUTS_TEXT = (
-    "The dotted line in the spectra is the cut-off of the estimator's filter. An input excites "
-    "little if it is strongly correlated with another, or with a rate that an autopilot feeds "
-    "back. The model holds only inside the clouds of the coverage."
-)
-
-
-_MODES_TEXT = (
-    "The identified model, linearised in level flight at the airspeed of the last tick. The "
-    "coefficients count as independent in the standard deviations."
-)
+    yield Section("messages", "Messages", [tables.messages_table(summary)])
+    yield Section("settings", "Settings", [*tables.settings_tables(summary)])
+    yield Section("origin", "Origin", [*tables.origin_tables(replayed.bag)])
 
 
 def _delay_section(bank: DelayBank, in_use: float) -> Section:
@@ -135,7 +102,7 @@ def _delay_section(bank: DelayBank, in_use: float) -> Section:
             f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
             f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
         )
-    return Section("delay", "Delay", [text], charts=[chart] if chart else [])
+    return Section("delay", "Delay", [], [chart] if chart else [], [text])
 
 
 # --- the page -------------------------------------------------------------------------------------

@@ -24,12 +24,11 @@ AXIS_MARGIN = 0.08
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart on the page."""
+    """A chart on the page; its template has the explanations."""
 
     identity: str  # Unique on the page
     heading: str  # Heading above the chart
     model: Any  # The Bokeh figure
-    caption: str = ""  # Explanation below the chart
     legend: tuple[tuple[str, str], ...] = ()  # Names and their colours
     small: bool = False  # Whether several charts stand side by side
 
