@@ -8,9 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import yaml
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
 from bokeh.resources import Resources
+from bokeh.themes import Theme
 from jinja2 import Environment, PackageLoader
 
 from uav_ident_ros.bags.writing import write_file
@@ -111,6 +113,13 @@ def _delay_section(bank: DelayBank, in_use: float) -> Section:
 EARLIEST_DATE_NS = 946_684_800_000_000_000
 """The year 2000, ns: earlier stamps count from the start of a computer and are no dates."""
 
+TEMPLATES = Environment(
+    loader=PackageLoader("uav_ident_ros.report"),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+
 _NAMES = re.compile(r'(?<=")p\d{4,}(?=")')
 """Names that Bokeh gives to its models, different in every run."""
 
@@ -135,17 +144,13 @@ def write_report(path: Path, replayed: Replayed) -> None:
 
 def render(sections: Sequence[Section], **content: Any) -> str:
     """Return a page with sections and their charts; `content` are further fields of the page."""
-    loader = PackageLoader("uav_ident_ros.report")
-    page = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    page.filters["sentence"] = _sentence
-    page.tests["words"] = lambda heading: isinstance(heading, Words)
+    TEMPLATES.filters["sentence"] = _sentence
+    TEMPLATES.tests["words"] = lambda heading: isinstance(heading, Words)
     drawn, names = _embed([chart for section in sections for chart in section.charts])
-    return page.get_template("page.html").render(
+    return TEMPLATES.get_template("page.html").render(
         sections=sections,
         colors=COLORS,
-        style=page.get_template("style.css").render(),
         library="\n".join(Resources(mode="inline", components=["bokeh"]).js_raw),
-        script=page.get_template("charts.js").render(),
         drawn=drawn,
         names=names,
         **content,
@@ -154,7 +159,8 @@ def render(sections: Sequence[Section], **content: Any) -> str:
 
 def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
     """Return the charts as JSON, and their names in it; both are the same in every run."""
-    document, roots = Document(), {chart.identity: chart.model for chart in charts}
+    style = yaml.safe_load(TEMPLATES.get_template("theme.yaml").render(colors=COLORS))
+    document, roots = Document(theme=Theme(json=style)), {c.identity: c.model for c in charts}
     with document.models.freeze():  # otherwise each root searches all models
         for model in roots.values():
             document.add_root(model)

@@ -12,9 +12,6 @@ from bokeh.plotting import figure
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.report.style import COLORS
 
-LEFT = 64
-"""Left margin for the labels, pixels, the same for all charts of a column."""
-
 WITH_BUTTONS = 200
 """Height from which a chart has buttons, pixels; lower ones move with it."""
 
@@ -50,27 +47,8 @@ def value_range(*values: FloatArray) -> models.Range1d:
 
 
 def plain_figure(height: int, along: str | None, unit: str, **options: Any) -> Any:
-    """Return an empty figure in the style of the page, with the labels of its axes."""
-    result = figure(
-        height=height,
-        sizing_mode="stretch_width",
-        min_border=2,
-        min_border_left=LEFT,
-        background_fill_color=None,
-        border_fill_color=None,
-        outline_line_color=None,
-        title=None,
-        tools="",
-        **options,
-    )
-    result.toolbar.logo = None
-    result.toolbar.autohide = True
-    result.grid.grid_line_color = COLORS["grid"]
-    result.axis.axis_line_color = result.axis.major_tick_line_color = COLORS["muted"]
-    result.axis.minor_tick_line_color = None
-    result.axis.major_label_text_color = result.axis.axis_label_text_color = COLORS["ink"]
-    result.axis.axis_label_text_font_style = "normal"
-    result.axis.axis_label_standoff = 2
+    """Return an empty figure with the labels of its axes; the page's theme has its style."""
+    result = figure(height=height, title=None, tools="", **options)
     result.xaxis.axis_label, result.yaxis.axis_label = along, unit
     if isinstance(result.y_range, models.Range1d):
         result.yaxis.ticker.desired_num_ticks = 4
