@@ -16,9 +16,6 @@ from uav_ident_ros.report.flight import Predictions, ReplayedFlight
 from uav_ident_ros.report.style import COLORS, DASHES, SERIES
 from uav_ident_ros.report.timeline import Chart, columns, hover, plain_figure, value_range
 
-FLIGHT_SIGNALS = (*INPUTS, *RATES, *SPECIFIC_FORCES)
-"""Signals of a flight, in the order of `signals`."""
-
 SEGMENT_TIME = 20.0
 """Length of the segments of the spectra, s: it resolves 0.05 Hz."""
 
@@ -42,10 +39,11 @@ MOST_SAMPLES = 200_000
 """Most samples of a distribution, 17 minutes at 200 Hz; more are thinned evenly."""
 
 
-def signals(flight: ReplayedFlight) -> FloatArray:
-    """Return inputs, rates and specific forces at gyro samples, shape (N, 9)."""
-    every = slice(None, None, -(-len(flight.t) // MOST_SAMPLES))
-    return np.concatenate([flight.u[every], flight.rates[every], flight.force[every]], axis=1)
+def signals(flight: ReplayedFlight) -> dict[str, FloatArray]:
+    """Return inputs, rates and specific forces at gyro samples, by name, (N,) each."""
+    step = -(-len(flight.t) // MOST_SAMPLES)
+    values = (*flight.u[::step].T, *flight.rates[::step].T, *flight.force[::step].T)
+    return dict(zip((*INPUTS, *RATES, *SPECIFIC_FORCES), values, strict=True))
 
 
 def autocorrelation(residual: FloatArray, lags: int) -> FloatArray:
@@ -108,10 +106,6 @@ def _lines(chart: Any, x: FloatArray, lines: dict[str, FloatArray], unit: str) -
         style = {"color": COLORS[SERIES[k]], "line_dash": DASHES[k], "line_width": 1.5}
         drawn = chart.line("x", name, source=source, legend_label=name, **style)
         hover(chart, drawn, (unit, "@x{0.000}"), (name, f"@{{{name}}}{{0.000e+0}}"), mode="vline")
-    if lines:
-        chart.legend.orientation = "horizontal"
-        chart.legend.background_fill_alpha = 0.6
-        chart.legend.padding = chart.legend.margin = 2
 
 
 def whiteness_chart(flight: ReplayedFlight, tick: Predictions) -> Chart | None:
@@ -123,12 +117,8 @@ def whiteness_chart(flight: ReplayedFlight, tick: Predictions) -> Chart | None:
     found = np.nan_to_num(autocorrelation(residual, lags))
     span = value_range(found, np.array([0.0, 0.2]))
     chart = plain_figure(220, "lag [s]", "autocorrelation", y_range=span)
-    _lines(
-        chart,
-        tick.horizon * np.arange(1, lags + 1),
-        dict(zip(RATES, found.T, strict=True)),
-        "lag [s]",
-    )
+    lag = tick.horizon * np.arange(1, lags + 1)
+    _lines(chart, lag, dict(zip(RATES, found.T, strict=True)), "lag [s]")
     bound = NORMAL_95 / math.sqrt(len(residual))
     chart.add_layout(
         BoxAnnotation(bottom=-bound, top=bound, fill_color=COLORS["measured"], fill_alpha=0.2)
@@ -151,18 +141,14 @@ def spectrum_charts(flight: ReplayedFlight) -> Iterator[Chart]:
         density = np.stack([welch(column, segment) for column in resampled], axis=1)
         middle, mean = thirds(frequency[within], density[within])
         top = float(mean.max(initial=0.0)) or 1.0
-        chart = plain_figure(
-            230,
-            "frequency [Hz]",
-            "power density",
-            x_axis_type="log",
-            y_axis_type="log",
-            y_range=(top * 10.0**-DECADES, 2.0 * top),
-            x_range=(float(frequency[within][0]), HIGHEST_FREQUENCY),
-        )
+        logarithmic = {"x_axis_type": "log", "y_axis_type": "log"}
+        spans = {
+            "x_range": (float(frequency[within][0]), HIGHEST_FREQUENCY),
+            "y_range": (top * 10.0**-DECADES, 2.0 * top),
+        }
+        chart = plain_figure(230, "frequency [Hz]", "power density", **logarithmic, **spans)
         chart.xaxis.ticker = FixedTicker(ticks=[0.1, 1.0, 10.0])
-        shown = dict(zip(labels, mean.T, strict=True))
-        shown = {k: v for k, v in shown.items() if v.max() > 0.0}
+        shown = {k: v for k, v in zip(labels, mean.T, strict=True) if v.max() > 0.0}
         _lines(chart, middle, shown, "f [Hz]")
         chart.add_layout(
             Span(dimension="height", location=cutoff, line_dash="dotted", line_width=1)
@@ -172,7 +158,7 @@ def spectrum_charts(flight: ReplayedFlight) -> Iterator[Chart]:
 
 def coverage_charts(flight: ReplayedFlight) -> Iterator[Chart]:
     """Yield the two-dimensional histograms of pairs of signals."""
-    values = dict(zip(FLIGHT_SIGNALS, signals(flight).T, strict=True))
+    values = signals(flight)
     for x, y in PAIRS:
         spans = [_span(values[x]), _span(values[y])]
         count, _, _ = np.histogram2d(values[x], values[y], bins=CELLS, range=spans)

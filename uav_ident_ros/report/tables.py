@@ -17,7 +17,7 @@ from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.tables import Number, Row, Table, Words
-from uav_ident_ros.report.diagrams import FLIGHT_SIGNALS, signals
+from uav_ident_ros.report.diagrams import signals
 from uav_ident_ros.report.flight import ReplayedFlight
 
 
@@ -30,11 +30,12 @@ def gates_table(lost: Mapping[str, float]) -> Table:
 
 def correlations_table(flight: ReplayedFlight) -> Table:
     """Return the correlations of all signals with the inputs."""
+    values = signals(flight)
     with np.errstate(invalid="ignore", divide="ignore"):  # NaN for constant signals
-        found = np.corrcoef(signals(flight).T)[:, : len(INPUTS)]
+        found = np.corrcoef([*values.values()])[:, : len(INPUTS)]
     rows = [
         Row(name, [Number(value, ".2f", shaded=True) for value in line])
-        for name, line in zip(FLIGHT_SIGNALS, found, strict=True)
+        for name, line in zip(values, found, strict=True)
     ]
     return Table("Correlation with the inputs", ("signal", *INPUTS), rows)
 
