@@ -110,15 +110,16 @@ def _delay_section(bank: DelayBank, in_use: float) -> Section:
 # --- the page -------------------------------------------------------------------------------------
 
 
-EARLIEST_DATE_NS = 946_684_800_000_000_000
-"""The year 2000, ns: earlier stamps count from the start of a computer and are no dates."""
-
 TEMPLATES = Environment(
     loader=PackageLoader("uav_ident_ros.report"),
     autoescape=True,
     trim_blocks=True,
     lstrip_blocks=True,
 )
+TEMPLATES.tests["words"] = lambda heading: isinstance(heading, Words)
+
+EARLIEST_DATE_NS = 946_684_800_000_000_000
+"""The year 2000, ns: earlier stamps count from the start of a computer and are no dates."""
 
 _NAMES = re.compile(r'(?<=")p\d{4,}(?=")')
 """Names that Bokeh gives to its models, different in every run."""
@@ -144,8 +145,6 @@ def write_report(path: Path, replayed: Replayed) -> None:
 
 def render(sections: Sequence[Section], **content: Any) -> str:
     """Return a page with sections and their charts; `content` are further fields of the page."""
-    TEMPLATES.filters["sentence"] = _sentence
-    TEMPLATES.tests["words"] = lambda heading: isinstance(heading, Words)
     drawn, names = _embed([chart for section in sections for chart in section.charts])
     return TEMPLATES.get_template("page.html").render(
         sections=sections,
@@ -184,8 +183,3 @@ def _facts(summary: Mapping[str, Any]) -> list[str]:
     if first_ns > EARLIEST_DATE_NS:
         facts.insert(0, f"{datetime.fromtimestamp(first_ns * NS, tz=UTC):%Y-%m-%d %H:%M} UTC")
     return facts
-
-
-def _sentence(text: str) -> str:
-    """Return a text with a capital at its beginning and a full stop at its end."""
-    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
