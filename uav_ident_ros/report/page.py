@@ -23,6 +23,7 @@ from uav_ident_ros.identification.structure import RATES
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import (
+    Number,
     Table,
     Words,
     coefficients_table,
@@ -47,7 +48,7 @@ class Section:
     tables: Sequence[Table] = ()
     charts: Sequence[Chart] = ()
     texts: Sequence[str] = ()  # Beyond those of the template
-    cards: Sequence[Mapping[str, Any]] = ()
+    cards: Sequence[tuple[str, Number, Number]] = ()
 
 
 def sections(replayed: Replayed) -> Iterator[Section]:

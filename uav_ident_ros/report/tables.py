@@ -96,19 +96,7 @@ def origin_tables(bag: Path) -> Iterator[Table]:
     yield Table("Software", ("package", "version"), software)
 
 
-DIVERGENT_BELOW = -100.0
-"""Fit below which a model counts as divergent, percent."""
-
-
-def card(fit: Mapping[str, Any], axis: str) -> dict[str, Any]:
-    """Return a card: the fit of an axis as a bar, that of holding the rate as a mark."""
-    model, hold = fit["model"][axis], fit["hold"][axis]
-    share, mark = (min(max(value or 0.0, 0.0), 100.0) for value in (model, hold))
-    return {
-        "axis": f"{AXIS_WORDS[f'{axis}dot']}, {axis}",
-        "value": Number(model, ".1f"),
-        "diverges": model is not None and model < DIVERGENT_BELOW,
-        "share": f"{share:.1f}",
-        "mark": f"{mark:.1f}",
-        "hold": Number(hold, ".1f"),
-    }
+def card(fit: Mapping[str, Any], axis: str) -> tuple[str, Number, Number]:
+    """Return an axis in words, its fit, and that of holding the rate."""
+    model, hold = (Number(fit[kind][axis], ".1f") for kind in ("model", "hold"))
+    return f"{AXIS_WORDS[f'{axis}dot']}, {axis}", model, hold
