@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight for the report: measurements, estimates and predictions on one clock."""
+"""A flight for the report: measurements, estimates and predictions, in seconds."""
 
 from __future__ import annotations
 
