@@ -16,23 +16,8 @@ from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayEstimate
 from uav_ident_ros.identification.prediction import HORIZONS, PredictionFit
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, STRUCTURES
-from uav_ident_ros.offline.advice import (
-    ADVICE,
-    DELAY_OFF,
-    DROPPED_SHARE,
-    FEW_POINTS,
-    FORCE_SHARE,
-    GROUNDED_SHARE,
-    LARGEST_NOISE,
-    LOST_SHARE,
-    NOISE_SHARE,
-    OFF_TRIM,
-    SHORT_FLIGHT,
-    SIGN_SIGMAS,
-    SLOW_ACTUATORS,
-    SLOW_IMU,
-    advise,
-)
+from uav_ident_ros.offline import advice as limits
+from uav_ident_ros.offline.advice import ADVICE, advise
 from uav_ident_ros.offline.evidence import Evidence, gather, gyro_noise, lost_to
 from uav_ident_ros.offline.run import Refusals, run_over
 
@@ -121,7 +106,7 @@ def moves(*spread: float) -> dict[str, Any]:
 
 CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     # advice, evidence just below its threshold, evidence just above, its text
-    ("never_flew", {"lost": {AT_REST: GROUNDED_SHARE * JUST_BELOW}},
+    ("never_flew", {"lost": {AT_REST: limits.GROUNDED_SHARE * JUST_BELOW}},
      {"lost": {AT_REST: 0.5, "not armed": 0.45}},
      "the aircraft hardly flew: 95 % of the time at rest: no rate .*, not armed; take a flight"),
     ("contradiction", {}, {"contradiction": "the gyro looks like deg/s: convert it"}, "deg/s"),
@@ -134,8 +119,8 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
      "no message of the actuators could be used: .*; look at 'actuators.type'"),
     ("weak_excitation", STILL_RUDDER, WEAK_RUDDER | {"settings": QUAD},
      "not enough yaw input excitation: .*; move the yaw input more"),
-    ("gated", {"lost": {AT_LIMIT: LOST_SHARE * JUST_BELOW, "not armed": 0.5}},
-     {"lost": {AT_LIMIT: LOST_SHARE * 1.1}, "gate_settings": {AT_LIMIT: "actuators.upper_limit"}},
+    ("gated", {"lost": {AT_LIMIT: limits.LOST_SHARE * JUST_BELOW, "not armed": 0.5}},
+     {"lost": {AT_LIMIT: limits.LOST_SHARE * 1.1}, "gate_settings": {AT_LIMIT: "actuators.upper"}},
      r"nothing was learned in 33 % of the flight: channel … is at its limit \(see 'actuators.up"),
     ("weak_excitation", STILL_RUDDER, WEAK_RUDDER,
      r"not enough rudder excitation: rdot/dr is known to 4\.0 sigma only \(4 needed\)"),
@@ -165,15 +150,16 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     # a flying wing without a rudder
     ("weak_excitation", moves(0.1, 0.0, 0.1, 0.1) | {"settings": WING}, moves(0.1, 0.0, 0.1, 0.1),
      "the rudder never moved"),
-    ("wrong_delay", {"delay": SURE, "delay_in_use": SURE.delay - DELAY_OFF * JUST_BELOW},
+    ("wrong_delay", {"delay": SURE, "delay_in_use": SURE.delay - limits.DELAY_OFF * JUST_BELOW},
      {"delay": replace(SURE, delay=0.08), "delay_in_use": 0.0},
      r"act 80 ms later .*: set 'actuators\.delay' to 0\.080, or 'actuators\.estimate_delay' to"),
-    ("wrong_delay", {"delay_in_use": SURE.delay + DELAY_OFF * JUST_BELOW},
-     {"delay_in_use": SURE.delay + DELAY_OFF * JUST_ABOVE}, "act 20 ms earlier than"),
+    ("wrong_delay", {"delay_in_use": SURE.delay + limits.DELAY_OFF * JUST_BELOW},
+     {"delay_in_use": SURE.delay + limits.DELAY_OFF * JUST_ABOVE}, "act 20 ms earlier than"),
     ("wrong_delay", {"delay": UNSURE, "delay_in_use": 0.2}, {"delay": SURE, "delay_in_use": 0.2},
      "170 ms earlier"),
-    ("wrong_delay", {"delay": replace(SURE, delay=-DELAY_OFF * JUST_BELOW), "delay_in_use": 0.0},
-     {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0},  # delays are not negative
+    ("wrong_delay",  # delays are not negative
+     {"delay": replace(SURE, delay=-limits.DELAY_OFF * JUST_BELOW), "delay_in_use": 0.0},
+     {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0},
      r"42 ms earlier .* say: correct their stamps, or lower 'actuators\.time_constant'$"),
     ("wrong_delay", {"delay": UNSURE, "actuator_rate": 10.0},
      {"delay": replace(SURE, delay=-0.042), "delay_in_use": 0.0, "actuator_rate": 10.0},
@@ -205,48 +191,51 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any], str]] = [
     ("assumed_airspeed", {"settings": Settings.from_values({"airspeed.reference": 20.1})},
      {"settings": Settings()},
      "no airspeed is measured, and 'airspeed.reference' is the default, 20 m/s: set it to"),
-    ("row_needs_force", {"force_share": {"pdot": 0.0, "rdot": FORCE_SHARE * JUST_BELOW}},
-     {"force_share": {"pdot": 0.0, "rdot": FORCE_SHARE * JUST_ABOVE}},
+    ("row_needs_force", {"force_share": {"pdot": 0.0, "rdot": limits.FORCE_SHARE * JUST_BELOW}},
+     {"force_share": {"pdot": 0.0, "rdot": limits.FORCE_SHARE * JUST_ABOVE}},
      "the yaw row needs ay: it explains 15 %"),
-    ("leans_on_force", {"fit": fit(measured_force=80.0 + FEW_POINTS * JUST_BELOW)},
-     {"fit": fit(measured_force=[80.0, 80.0, 80.0 + FEW_POINTS * JUST_ABOVE])},
+    ("leans_on_force", {"fit": fit(measured_force=80.0 + limits.FEW_POINTS * JUST_BELOW)},
+     {"fit": fit(measured_force=[80.0, 80.0, 80.0 + limits.FEW_POINTS * JUST_ABOVE])},
      r"lean on specific forces, .*: with the measured ones the fit is higher, .* r: 20 \(ay\)"),
     # a structure without forces
     ("leans_on_force", {"fit": fit(model=0.0, measured_force=np.nan)},
      {"fit": fit(model=0.0, measured_force=80.0)}, r"p: 80 \(ay\), q: 80 \(az\), r: 80 \(ay\)"),
-    ("noisy_gyro", {"gyro_noise": one_of_three(LARGEST_NOISE * JUST_BELOW, 0.01)},
-     {"gyro_noise": one_of_three(LARGEST_NOISE * JUST_ABOVE, 0.01)},
+    ("noisy_gyro", {"gyro_noise": one_of_three(limits.LARGEST_NOISE * JUST_BELOW, 0.01)},
+     {"gyro_noise": one_of_three(limits.LARGEST_NOISE * JUST_ABOVE, 0.01)},
      r"gyro noise high: 0\.1 rad/s on q"),
-    ("noisy_gyro", {"rate_spread": one_of_three(0.01 / NOISE_SHARE * JUST_ABOVE, 0.5)},
-     {"rate_spread": one_of_three(0.01 / NOISE_SHARE * JUST_BELOW, 0.5)},
+    ("noisy_gyro", {"rate_spread": one_of_three(0.01 / limits.NOISE_SHARE * JUST_ABOVE, 0.5)},
+     {"rate_spread": one_of_three(0.01 / limits.NOISE_SHARE * JUST_BELOW, 0.5)},
      r"gyro noise high for so gentle a flight: 0\.01 rad/s on q, which moved by 0\.033 rad/s"),
-    ("noisy_gyro", {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": SLOW_IMU * JUST_BELOW},
-     {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": SLOW_IMU * JUST_ABOVE},  # possibly motion
+    ("noisy_gyro",  # possibly motion
+     {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": limits.SLOW_IMU * JUST_BELOW},
+     {"gyro_noise": one_of_three(0.2, 0.01), "imu_rate": limits.SLOW_IMU * JUST_ABOVE},
      "gyro noise high: 0.2 rad/s on q"),
-    ("slow_streams", {"imu_rate": SLOW_IMU * JUST_ABOVE}, {"imu_rate": SLOW_IMU * JUST_BELOW},
+    ("slow_streams", {"imu_rate": limits.SLOW_IMU * JUST_ABOVE},
+     {"imu_rate": limits.SLOW_IMU * JUST_BELOW},
      r"of the Imu come at 49 Hz: 50 Hz are needed \(PX4: SDLOG_PROFILE bit 4, .*; A"),
-    ("slow_streams", {"actuator_rate": SLOW_ACTUATORS * JUST_ABOVE},
-     {"actuator_rate": SLOW_ACTUATORS * JUST_BELOW},
+    ("slow_streams", {"actuator_rate": limits.SLOW_ACTUATORS * JUST_ABOVE},
+     {"actuator_rate": limits.SLOW_ACTUATORS * JUST_BELOW},
      "the messages of the actuators come at 24 Hz: 25 Hz"),
     ("slow_streams", {"actuator_rate": 0.0}, {"actuator_rate": 1.0}, "at 1 Hz"),  # 0: no rate
     ("slow_streams", {}, {"imu_rate": 25.0, "actuator_rate": 10.0},  # a single cure for both
      r"of the Imu come at 25 Hz: 50 Hz are needed, those of the actuators come at 10 Hz: 25 Hz"),
     ("many_drops",
-     {"streams": {"rates": Refusals(10_000, {"late": round(10_000 * DROPPED_SHARE)})}},
+     {"streams": {"rates": Refusals(10_000, {"late": round(10_000 * limits.DROPPED_SHARE)})}},
      {"streams": {"rates": Refusals(10_000, {"late": 90, "not finite": 11})}},
      "101 of 10000 messages of the rates were dropped: 90 late, 11 not finite"),
-    ("wrong_sign", yaw(0.1 * SIGN_SIGMAS * JUST_BELOW), yaw(0.1 * SIGN_SIGMAS * JUST_ABOVE),
+    ("wrong_sign", yaw(0.1 * limits.SIGN_SIGMAS * JUST_BELOW),
+     yaw(0.1 * limits.SIGN_SIGMAS * JUST_ABOVE),
      r"yaw damping \(rdot/r\) is positive"),
-    ("off_trim", off_trim(OFF_TRIM * JUST_BELOW), off_trim(-OFF_TRIM * JUST_ABOVE),
+    ("off_trim", off_trim(limits.OFF_TRIM * JUST_BELOW), off_trim(-limits.OFF_TRIM * JUST_ABOVE),
      r"off their trim \(dr by -0.3 standard deviations\), and throttle_coupled has no constant"),
     ("off_trim", off_trim(2.0, "augmented"), off_trim(2.0), r"\(dr by \+2.0 standard"),
-    ("short_flight", {"duration": SHORT_FLIGHT * JUST_ABOVE},
-     {"duration": SHORT_FLIGHT * JUST_BELOW}, "the flight is short, 59 s: excite it"),
+    ("short_flight", {"duration": limits.SHORT_FLIGHT * JUST_ABOVE},
+     {"duration": limits.SHORT_FLIGHT * JUST_BELOW}, "the flight is short, 59 s: excite it"),
     ("no_better_than_holding", {"fit": fit(model=[80.0, 20.1, 80.0], hold=20.0)},
      {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0)},
      r"q is predicted no better \(20 %\) than by holding it \(20 %\): look at the delay"),
     ("no_better_than_holding", {},  # the reason has its own advice
-     {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0), "imu_rate": SLOW_IMU - 1.0},
+     {"fit": fit(model=[80.0, 20.0, 80.0], hold=20.0), "imu_rate": limits.SLOW_IMU - 1.0},
      r"q is predicted no better \(20 %\) than by holding it \(20 %\)$"),
     ("collinear_groups", {"collinear": (("qdot/1", "qdot/az"),)},
      {"collinear": (("qdot/1", "qdot/az"), ("pdot/p", "pdot/da"))},
@@ -288,7 +277,7 @@ def test_slow_messages_come_last_if_the_fit_of_the_best_axis_is_good() -> None:
         (JUST_BELOW, ["weak_excitation", "slow_streams"]),
         (JUST_ABOVE, ["slow_streams", "weak_excitation"]),
     ):
-        model = np.array([100.0 - missing * FEW_POINTS, 10.0, np.nan])
+        model = np.array([100.0 - missing * limits.FEW_POINTS, 10.0, np.nan])
         found = advise(replace(weak, fit=fit(model=model, measured_force=model)))
         assert [advice.name for advice in found] == order
 

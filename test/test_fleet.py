@@ -14,18 +14,7 @@ from programs import Capture, refusal
 
 from uav_ident_ros.files.coefficients_file import load_coefficients
 from uav_ident_ros.identification.structure import STRUCTURES
-from uav_ident_ros.offline import fleet_command
-from uav_ident_ros.offline.fleet import (
-    BASELINE,
-    CSV_FILE,
-    LIMIT,
-    FlightRow,
-    changes,
-    fleet_of,
-    pool,
-    standard,
-    write_flights,
-)
+from uav_ident_ros.offline import fleet, fleet_command
 
 NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
 
@@ -35,12 +24,12 @@ NAMES = ("pdot/p", "pdot/da", "qdot/q", "qdot/de", "rdot/r", "rdot/dr")
 
 def synthetic(
     seed: int, loss: float = 0.0, flights: int = 60, scatter: float = 0.02, sigma: float = 0.02
-) -> list[FlightRow]:
+) -> list[fleet.FlightRow]:
     """Return flights of an aircraft whose rudder loses a share `loss` per flight from the 30th."""
     rng = np.random.default_rng(seed)
     rows = []
     for k in range(1, flights + 1):
-        common = FlightRow(
+        common = fleet.FlightRow(
             "aircraft", f"flight_{k:02d}", k * SECOND_NS, 300.0, "usable", structure="baseline"
         )
         for name in NAMES:
@@ -57,21 +46,21 @@ LATER = [pytest.param(seed, marks=pytest.mark.campaign) for seed in range(3, 10)
 
 @pytest.mark.parametrize("seed", [0, 1, 2, *LATER])
 def test_only_the_weakening_rudder_is_named_within_eight_flights(seed: int) -> None:
-    (aircraft,) = fleet_of(synthetic(seed, loss=0.02))
+    (aircraft,) = fleet.fleet_of(synthetic(seed, loss=0.02))
     first = aircraft.findings[0]
     assert first.coefficient == "rdot/dr"
     assert first.lasting
     assert 30 <= int(first.named.removeprefix("flight_")) <= 38
     assert first.now < first.before
     assert {finding.coefficient for finding in aircraft.findings} == {"rdot/dr"}
-    (unchanged,) = fleet_of(synthetic(100 + seed))
+    (unchanged,) = fleet.fleet_of(synthetic(100 + seed))
     assert unchanged.findings == ()
 
 
 def test_the_pooled_sigmas_cover_68_percent_of_the_true_values() -> None:
     inside, ahead = [], []
     for seed in range(40):
-        (aircraft,) = fleet_of(synthetic(200 + seed, flights=20))
+        (aircraft,) = fleet.fleet_of(synthetic(200 + seed, flights=20))
         for pooled in aircraft.pooled.values():
             inside.append(abs(pooled.value - 10.0) <= pooled.sigma)
             # true value of the next flight
@@ -84,7 +73,7 @@ def test_the_pooled_sigmas_cover_68_percent_of_the_true_values() -> None:
 
 def test_pooling_follows_dersimonian_and_laird() -> None:
     values, sigmas = np.array([1.0, 2.0, 4.0]), np.array([0.5, 0.5, 1.0])
-    alike = pool(np.array([1.0, 1.1, 0.9]), sigmas)
+    alike = fleet.pool(np.array([1.0, 1.1, 0.9]), sigmas)
     assert alike.scatter == 0.0
     assert alike.sigma == pytest.approx(1.0 / math.sqrt(4.0 + 4.0 + 1.0))
     # DerSimonian and Laird by hand: w = 4, 4, 1; mean 16/9; Q = 8.22; c = 9 - 33/9
@@ -92,7 +81,7 @@ def test_pooling_follows_dersimonian_and_laird() -> None:
     q = 4.0 * (1.0 - mean) ** 2 + 4.0 * (2.0 - mean) ** 2 + (4.0 - mean) ** 2
     tau2 = (q - 2.0) / (9.0 - 33.0 / 9.0)
     weight = 1.0 / (sigmas**2 + tau2)
-    found = pool(values, sigmas)
+    found = fleet.pool(values, sigmas)
     assert found.scatter == pytest.approx(math.sqrt(tau2))
     assert found.value == pytest.approx((weight * values).sum() / weight.sum())
     assert found.sigma == pytest.approx(weight.sum() ** -0.5)
@@ -108,18 +97,18 @@ def test_an_outlying_flight_is_no_lasting_change_and_a_jump_is_one(
 ) -> None:
     values = 10.0 + 0.2 * np.random.default_rng(6).standard_normal(40)
     values[which] += off
-    (found,) = changes("pdot/da", [f"f{k}" for k in range(40)], values, np.full(40, 0.1))
+    (found,) = fleet.changes("pdot/da", [f"f{k}" for k in range(40)], values, np.full(40, 0.1))
     assert (found.since, found.named, found.lasting) == ("f25", named, lasting)
     assert found.text.startswith("pdot/da of f25 stands out: +") is not lasting
     assert found.now == pytest.approx(values[which].mean(), abs=0.3)
 
 
 def test_the_limit_gives_one_false_alarm_in_100_000_flights() -> None:
-    between = math.sqrt(2.0 * math.pi) * math.exp(LIMIT**2 / 2.0) / (0.735 * LIMIT)
+    between = math.sqrt(2.0 * math.pi) * math.exp(fleet.LIMIT**2 / 2.0) / (0.735 * fleet.LIMIT)
     assert between == pytest.approx(100_000.0, rel=1e-3)
     # no flight is tested before the baseline is complete
-    jump = np.array([10.0, *[100.0] * (BASELINE - 1)])
-    assert changes("x", ["f"] * BASELINE, jump, np.ones(BASELINE)) == []
+    jump = np.array([10.0, *[100.0] * (fleet.BASELINE - 1)])
+    assert fleet.changes("x", ["f"] * fleet.BASELINE, jump, np.ones(fleet.BASELINE)) == []
 
 
 def test_student_deviates_convert_to_normal_ones_of_equal_probability() -> None:
@@ -128,8 +117,8 @@ def test_student_deviates_convert_to_normal_ones_of_equal_probability() -> None:
     for freedom in (11, 30):
         for deviation in (1.0, -3.0, 6.0):
             expected = stats.norm.isf(stats.t.sf(abs(deviation), freedom))
-            assert abs(standard(deviation, freedom)) == pytest.approx(expected, rel=5e-3)
-    assert standard(-3.0, 11) == -standard(3.0, 11)
+            assert abs(fleet.standard(deviation, freedom)) == pytest.approx(expected, rel=5e-3)
+    assert fleet.standard(-3.0, 11) == -fleet.standard(3.0, 11)
 
 
 def test_aircraft_and_structures_are_pooled_separately() -> None:
@@ -137,22 +126,22 @@ def test_aircraft_and_structures_are_pooled_separately() -> None:
     other = [replace(row, aircraft="b", structure="augmented") for row in synthetic(2, flights=14)]
     mixed = [replace(row, aircraft="b") for row in synthetic(3, flights=14)]
     mixed = [replace(row, flight=f"old_{row.flight}") for row in mixed]
-    failed = FlightRow("b", "broken", verdict="no result", reason="no bag")
-    fleet = fleet_of([*rows, *other, *mixed, failed])
-    assert [(a.name, a.structure, len(a.flights)) for a in fleet] == [
+    failed = fleet.FlightRow("b", "broken", verdict="no result", reason="no bag")
+    aircraft = fleet.fleet_of([*rows, *other, *mixed, failed])
+    assert [(a.name, a.structure, len(a.flights)) for a in aircraft] == [
         ("aircraft", "baseline", 14), ("b", "augmented", 14), ("b", "baseline", 14)
     ]  # fmt: skip
-    assert fleet[0].flights[0] == "flight_99"  # ordered by time, not by name
-    assert fleet[1].unusable == (("broken", "no result: no bag"),)
-    (alone,) = fleet_of([failed])
+    assert aircraft[0].flights[0] == "flight_99"  # ordered by time, not by name
+    assert aircraft[1].unusable == (("broken", "no result: no bag"),)
+    (alone,) = fleet.fleet_of([failed])
     assert alone.pooled == {}
-    (several,) = fleet_of(replace(row, flight="flight") for row in rows)  # of several tables
+    (several,) = fleet.fleet_of(replace(row, flight="flight") for row in rows)  # of several tables
     assert several.flights == ("flight", *(f"flight_{k}" for k in range(2, 15)))
-    assert several.pooled == fleet[0].pooled
+    assert several.pooled == aircraft[0].pooled
 
 
 def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Capture) -> None:
-    write_flights(tmp_path, synthetic(0, loss=0.02))
+    fleet.write_flights(tmp_path, synthetic(0, loss=0.02))
     assert fleet_command.main([str(tmp_path)]) == 1
     printed = capsys.readouterr().out
     assert re.search(r"change: rdot/dr has changed since flight_3\d: \+", printed)
@@ -165,8 +154,9 @@ def test_the_command_writes_page_and_coefficients(tmp_path: Path, capsys: Captur
     assert 0.1 < pooled.sigma[structure.index("pdot/p")] < 0.4  # scatter of 0.2 and more
     assert np.isinf(pooled.sigma[structure.index("pdot/pq")])  # unknown in every flight
 
-    write_flights(tmp_path, synthetic(0))
-    assert fleet_command.main([str(tmp_path / CSV_FILE), "--output", str(tmp_path / "x")]) == 0
+    fleet.write_flights(tmp_path, synthetic(0))
+    table, output = str(tmp_path / fleet.CSV_FILE), str(tmp_path / "x")
+    assert fleet_command.main([table, "--output", output]) == 0
     assert "change:" not in capsys.readouterr().out
 
 

@@ -4,7 +4,6 @@
 import itertools
 import math
 import os
-import pickle
 import re
 import shutil
 import signal
@@ -29,6 +28,8 @@ from uav_ident_ros.offline.fleet import read_flights
 from uav_ident_ros.offline.job import Job, Outcome
 from uav_ident_ros.offline.parallel import DONE_FILE
 from uav_ident_ros.offline.run import Bar
+
+REPLAY = [sys.executable, "-m", "uav_ident_ros", "replay"]
 
 
 @pytest.fixture(scope="module")
@@ -79,8 +80,7 @@ def test_every_bag_has_a_unique_output_name() -> None:
 def replayed(logs: Path, warm: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """Return the output folder of a replay of all, and the finished process."""
     output = tmp_path_factory.mktemp("output")
-    command = arguments(logs, warm, output, "--jobs", "2")
-    return output, python("-m", "uav_ident_ros", "replay", *command)
+    return output, python(*REPLAY[1:], *arguments(logs, warm, output, "--jobs", "2"))
 
 
 def arguments(logs: Path, file: Path, output: Path, *more: str) -> list[str]:
@@ -112,7 +112,7 @@ def test_parameter_files_that_are_not_read_are_named(tmp_path: Path) -> None:
         (tmp_path / day).mkdir()
         (tmp_path / day / "flight.mcap").touch()
         (tmp_path / day / "identifier.yaml").touch()
-    done = python("-m", "uav_ident_ros", "replay", str(tmp_path), "--output", str(tmp_path / "out"))
+    done = python(*REPLAY[1:], str(tmp_path), "--output", str(tmp_path / "out"))
     unread = "replay: 2 bags have a parameter file beside them, which was not read, as "
     assert f"{unread}{tmp_path / 'monday' / 'identifier.yaml'}: give one of all" in done.stderr
 
@@ -130,39 +130,33 @@ def test_parallel_replays_equal_single_ones(
 
 
 def test_a_killed_process_affects_its_own_bag_alone(logs: Path, tmp_path: Path) -> None:
-    jobs = [
-        Job(logs / day / "flight", day, tmp_path / day, (PARAMETERS,))
-        for day in ("monday", "tuesday")
-    ]
     script = (
-        "import os, signal, sys, pickle\n"
-        "from uav_ident_ros.offline import parallel\n"
+        "import os, signal, sys\n"
+        "from uav_ident_ros.offline import main, parallel\n"
         "work = parallel.work\n"
         "def deadly(job):\n"
-        "    if job.name == 'monday':\n"
+        "    if job.name == 'monday_flight':\n"
         "        os.kill(os.getpid(), signal.SIGKILL)\n"
         "    return work(job)\n"
         "if __name__ == '__main__':\n"
         "    parallel.work = deadly\n"
-        "    jobs = pickle.loads(bytes.fromhex(sys.argv[1]))\n"
-        "    for outcome in parallel.replay_all(jobs, 2):\n"
-        "        print(outcome.job.name, outcome.status, outcome.warnings)\n"
+        "    main()\n"
     )
     (tmp_path / "deadly.py").write_text(script)
-    done = python(str(tmp_path / "deadly.py"), pickle.dumps(jobs).hex(), check=True)
-    first, second = done.stdout.splitlines()
-    assert first.startswith(f"monday {NO_RESULT}")
-    assert "the process that read it was ended" in first
-    assert second.startswith(f"tuesday {NOT_USABLE}")
+    bags = [str(logs / day / "flight") for day in ("monday", "tuesday")]
+    done = python(str(tmp_path / "deadly.py"), *bags, "--output", str(tmp_path), "--jobs", "2")
+    assert re.search(
+        r"^monday_flight .* no result: .*: the process that read it was ended\n"
+        r"tuesday_flight .* not usable: ", done.stdout, re.MULTILINE,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupt_ends_every_process(number: signal.Signals, tmp_path: Path) -> None:
-    bags = [str(BAGS / "multisine")] * 3
-    command = [sys.executable, "-m", "uav_ident_ros", "replay", *bags, "--jobs", "2"]
+    command = [*REPLAY, *[str(BAGS / "multisine")] * 3, "--jobs", "2", "--output", str(tmp_path)]
     process = subprocess.Popen(
-        [*command, "--output", str(tmp_path / "out")],
-        cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
     )  # fmt: skip
     # the processes are starting or running
     assert wait_for(lambda: len(children(process.pid)) >= 2)
@@ -211,7 +205,7 @@ def test_an_empty_folder_and_a_pipe_are_refused_without_stopping_others(
 
 
 def contents(output: Path) -> tuple[str, ...]:
-    return tuple(sorted(line for line in (output / "flights.csv").read_text().splitlines()))
+    return tuple(sorted((output / "flights.csv").read_text().splitlines()))
 
 
 def test_the_table_has_a_row_for_each_flight_and_coefficient(
@@ -277,20 +271,15 @@ def test_a_cluster_gives_the_same_table(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
     ) as cluster:
         command = arguments(logs, warm, tmp_path, "--scheduler", cluster.scheduler_address)
-        process = subprocess.Popen(
-            [sys.executable, "-m", "uav_ident_ros", "replay", *command], cwd=ROOT
-        )
+        process = subprocess.Popen([*REPLAY, *command], cwd=ROOT)
         with distributed.Client(cluster) as client:
-            busy: dict[str, tuple[str, ...]] = {}
-            while process.poll() is None and not any(busy.values()):
-                busy = client.processing()
+            busy: set[str] = set()
+            while process.poll() is None and not busy:
+                busy = {address for address, tasks in client.processing().items() if tasks}
                 time.sleep(0.02)
-            address = next((a for a, tasks in busy.items() if tasks), "")
-            worker = next(
-                (w for w in cluster.workers.values() if w.worker_address == address), None
-            )
-            if worker is not None and worker.process is not None:
-                os.kill(worker.process.pid, signal.SIGKILL)
+        workers = [w for w in cluster.workers.values() if w.worker_address in busy and w.process]
+        for worker in workers[:1]:
+            os.kill(worker.process.pid, signal.SIGKILL)
         assert process.wait(300.0) == 2
     assert contents(tmp_path) == contents(replayed[0])
 
@@ -386,7 +375,7 @@ def test_an_internal_error_is_the_status_of_no_result(
 
 def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) -> None:
     bag = logs / "tuesday" / "flight"
-    command = [sys.executable, "-m", "uav_ident_ros", "replay", str(bag), "--output", str(tmp_path)]
+    command = [*REPLAY, str(bag), "--output", str(tmp_path)]
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, cwd=ROOT, check=False)
@@ -401,8 +390,7 @@ def test_a_closed_pipe_does_not_change_the_status(logs: Path, tmp_path: Path) ->
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_bag_and_many_have_one_progress_bar(count: int, tmp_path: Path) -> None:
     bags = [str(excerpt(tmp_path / "bag", 20.0))] * count  # Some draws of the bar, 0.1 s apart
-    output = ["--output", str(tmp_path / "out"), "--jobs", "1"]
-    command = [sys.executable, "-m", "uav_ident_ros", "replay", *bags, *output]
+    command = [*REPLAY, *bags, "--output", str(tmp_path / "out"), "--jobs", "1"]
     nowhere = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL}
     with closing(Terminal(command, 100, **nowhere)) as terminal:  # for the error stream alone
         terminal.read_until("to the end of what is shown", math.inf)

@@ -75,26 +75,18 @@ def parser() -> argparse.ArgumentParser:
         description="Play a recorded flight to the identifier, live, watch it learn, and "
         "leave its picture and report.",
     )
-    result.add_argument(
-        "bag", nargs="?", type=given_path, default=DEFAULT_BAG, help="bag to play (bags/c172p)"
+    add = result.add_argument
+    add("bag", nargs="?", type=given_path, default=DEFAULT_BAG, help="bag to play (bags/c172p)")
+    file_help = "parameters of the node (identifier.yaml beside the bag, if there is one)"
+    add("--params-file", type=given_path, help=file_help)
+    speed = number(float, 0.1, 5.0, ": 0.1 to 5 times real time are possible")
+    speed_help = (
+        f"times real time, 0.1 to 5 (default {DEFAULT_SPEED:g}; 1 if the actuators carry no "
+        "stamp, as they are stamped on arrival)"
     )
-    result.add_argument(
-        "--params-file",
-        type=given_path,
-        help="parameters of the node (identifier.yaml beside the bag, if there is one)",
-    )
-    result.add_argument(
-        "--speed",
-        type=number(float, 0.1, 5.0, ": 0.1 to 5 times real time are possible"),
-        help=f"times real time, 0.1 to 5 (default {DEFAULT_SPEED:g}; 1 if the actuators carry no "
-        "stamp, as they are stamped on arrival)",
-    )
-    result.add_argument(
-        "--output",
-        type=given_path,
-        default=Path("output"),
-        help="folder for the results and the node's log (output)",
-    )
+    add("--speed", type=speed, help=speed_help)
+    output_help = "folder for the results and the node's log (output)"
+    add("--output", type=given_path, default=Path("output"), help=output_help)
     return result
 
 

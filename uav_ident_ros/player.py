@@ -5,7 +5,6 @@ The demonstration and the tests use it in place of `ros2 bag play`. In step with
 for the node's outputs: no message is lost, and the machine sets the speed.
 """
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -87,6 +86,8 @@ class Player(Guest):
             topic: self.node.create_publisher(kind, topic, DEPTH) for topic, kind in topics.items()
         }
         self.clock = StepClock(self.node, self._executor, CLOCK_PERIOD_NS, clock)
+        if self.clock.publisher is not None:
+            self._publishers["/clock"] = self.clock.publisher
         out, name, last = self.outputs, NODE_NAME, latched(DEPTH)
         subscribe = self.node.create_subscription
         subscribe(JointState, f"{name}/{NAMED}", out.named.append, last)
@@ -107,21 +108,14 @@ class Player(Guest):
 
     def node_is_there(self) -> bool:
         """Return whether the node subscribes to all topics and publishes its outputs."""
-        publishers = [*self._publishers.values()]
-        if self.clock.publisher is not None:
-            publishers.append(self.clock.publisher)
-        output = f"{NODE_NAME}/{NAMED}"
-        return self.node.count_publishers(output) > 0 and all(
-            publisher.get_subscription_count() > 0 for publisher in publishers
+        return self.node.count_publishers(f"{NODE_NAME}/{NAMED}") > 0 and all(
+            publisher.get_subscription_count() > 0 for publisher in self._publishers.values()
         )
 
     def wait_for_node(self) -> None:
         """Spin until the node and this player have discovered each other."""
-        self.wait_until(
-            self.node_is_there,
-            f"node '{NODE_NAME}' to subscribe to {', '.join(self._publishers)}"
-            + (" and /clock" if self.clock.publisher else ""),
-        )
+        wanted = f"node '{NODE_NAME}' to subscribe to {', '.join(self._publishers)}"
+        self.wait_until(self.node_is_there, wanted)
         self._wait_for_service()
         self.spin_for(SETTLE)
 
@@ -157,29 +151,23 @@ class Player(Guest):
         # message
         in_step: bool = False,
         start_up_ns: int = START_UP_NS,  # Initial log time without waiting for outputs
-    ) -> float:
-        """Play messages in log-time order, with the steps of /clock between them.
-
-        Returns the rms delay of /clock, s: the error of stamps on arrival by a busy machine.
-        """
+    ) -> None:
+        """Play messages in log-time order, with the steps of /clock between them."""
         start_ns, start = messages[0].log_ns, time.monotonic()
-        late: list[float] = []
         clock_ns, awaited_ns = start_ns, start_ns + start_up_ns
         if self.clock.send(clock_ns):  # a jump back must arrive before the messages
             self.spin_for(SETTLE)
         for message in messages:
             while clock_ns + CLOCK_PERIOD_NS <= message.log_ns:
                 clock_ns += CLOCK_PERIOD_NS
-                due = start + (clock_ns - start_ns) / NS_PER_S / speed
-                self.spin_for(due - time.monotonic())
+                elapsed = (clock_ns - start_ns) / NS_PER_S / speed
+                self.spin_for(start + elapsed - time.monotonic())
                 if in_step:
                     self._keep_in_step(clock_ns, start_ns, awaited_ns)
-                late.append(time.monotonic() - due)
                 on_time(clock_ns)
                 self.clock.advance(clock_ns)
             self._publishers[message.topic].publish(message.data)
         self._flush()
-        return math.sqrt(sum(x * x for x in late) / max(len(late), 1))
 
     def _keep_in_step(self, t_ns: int, start_ns: int, awaited_ns: int) -> None:
         """Spin, and wait for the output of `ANSWER_WITHIN_NS` before `t_ns`."""

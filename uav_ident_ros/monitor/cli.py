@@ -27,8 +27,6 @@ from uav_ident_ros.monitor.watched_node import WatchedNode
 from uav_ident_ros.node.ending import Ending
 from uav_ident_ros.ros import domain
 
-OUTPUT_TYPE = "sensor_msgs/msg/JointState"
-
 STATUS_DEPTH = 50
 """Depth of the queue of /diagnostics, which all nodes of a robot share."""
 
@@ -47,17 +45,15 @@ LOOK_AGAIN = 1.0
 
 
 class MonitorError(Exception):
-    """There are several identifiers; the message lists them."""
+    """There is no identifier, or several; the arguments are a message and the exit status."""
 
 
 def identifiers(guest: Guest) -> list[str]:
     """Return the full names of the identifiers that publish now, sorted."""
     return sorted(
         topic.removesuffix(f"/{NAMED}")
-        for topic, types in guest.node.get_topic_names_and_types()
-        if topic.endswith(f"/{NAMED}")
-        and OUTPUT_TYPE in types
-        and guest.node.count_publishers(topic) > 0
+        for topic, _ in guest.node.get_topic_names_and_types()
+        if topic.endswith(f"/{NAMED}") and guest.node.count_publishers(topic) > 0
     )
 
 
@@ -71,10 +67,8 @@ def find(
     guest.spin_for(OTHERS_TIME)
     found = identifiers(guest)
     if len(found) > 1:
-        listed = "\n  ".join(found)
-        raise MonitorError(
-            f"there are {len(found)} identifiers: choose one with --node\n  {listed}"
-        )
+        several = f"there are {len(found)} identifiers: choose one with --node"
+        raise MonitorError("\n  ".join([several, *found]), USAGE_ERROR)
     return found[0] if found else ""
 
 
@@ -130,16 +124,14 @@ def once(guest: Guest, node: str | None, timeout: float) -> int:
 
     node = node or find(guest, timeout)
     if not node:
-        found = f"no identifier was found for {timeout:g} s: does one run, {domain()}?"
-        print(f"monitor: {found}", file=sys.stderr)
-        return NOTHING_RECEIVED
+        problem = f"no identifier was found for {timeout:g} s: does one run, {domain()}?"
+        raise MonitorError(problem, NOTHING_RECEIVED)
     watched = discover(guest, node)
     guest.spin_for(timeout, lambda: watched.fresh and bool(watched.state))
     if watched.newest is None and not watched.state:
         others = ", ".join(identifiers(guest))
         there = f"; running: {others}" if others else f": does it run, {domain()}?"
-        print(f"monitor: no message of '{node}' for {timeout:g} s{there}", file=sys.stderr)
-        return NOTHING_RECEIVED
+        raise MonitorError(f"no message of '{node}' for {timeout:g} s{there}", NOTHING_RECEIVED)
     View(plain=True).show(watched)
     return USABLE if watched.usable else NOT_USABLE
 
@@ -169,8 +161,9 @@ def main(arguments: list[str] | None = None) -> int:
             return once(guest, options.node, options.timeout)
         watch(guest, options.node, options.plain)
     except MonitorError as error:
-        print(f"monitor: {error}", file=sys.stderr)
-        return USAGE_ERROR
+        problem, status = error.args
+        print(f"monitor: {problem}", file=sys.stderr)
+        return int(status)
     except KeyboardInterrupt:
         return INTERRUPTED if options.once else 0
     except BrokenPipeError:

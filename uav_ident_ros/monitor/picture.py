@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -127,18 +126,11 @@ def _head(watched: WatchedNode) -> Iterator[Text]:
         if not watched.fresh:
             tick = Text(f"last {tick}, none since", "bold red")
     verdict = ("usable", "bold green") if watched.usable else ("not usable", "bold yellow")
-    yield Text("  ").join(
-        [
-            Text(watched.node, "bold"),
-            Text(state or "?", STATE_STYLES.get(state, OTHER_STATE)),
-            Text(*verdict),
-            tick,
-        ]
-    )
+    shown = state or "?", STATE_STYLES.get(state, OTHER_STATE)
+    yield Text.assemble((watched.node, "bold"), "  ", shown, "  ", verdict, "  ", tick)
     if watched.publishers > 1:
-        yield Text(
-            f"{watched.publishers} nodes publish under this name: they get mixed", "bold red"
-        )
+        mixed = f"{watched.publishers} nodes publish under this name: they get mixed"
+        yield Text(mixed, "bold red")
     if watched.reason:
         yield Text(watched.reason)
 
@@ -230,7 +222,7 @@ def _line(label: str, *parts: str | tuple[str, str]) -> Text:
     return Text.assemble(f"{label:<10}", *parts, no_wrap=True)
 
 
-def _inputs(watched: WatchedNode) -> Iterator[RenderableType]:
+def _inputs(watched: WatchedNode) -> Iterator[Text]:
     """Yield rate, age and drops of every input, with the reasons of the drops."""
     values = watched.values
     for stream in (key.removesuffix(": topic") for key in values if key.endswith(": topic")):
@@ -245,8 +237,7 @@ def _inputs(watched: WatchedNode) -> Iterator[RenderableType]:
         start = f"{stream}: dropped: "
         reasons = [f"{k.removeprefix(start)} {n}" for k, n in values.items() if k.startswith(start)]
         if reasons:
-            line = f"dropped: {', '.join(reasons)}"
-            yield Padding(Text(line, "yellow", no_wrap=True), (0, 0, 0, 10))
+            yield _line("", (f"dropped: {', '.join(reasons)}", "yellow"))
 
 
 def _mode(mode: Mode, glyphs: Glyphs) -> str:

@@ -15,8 +15,6 @@ from uav_ident_ros.messages.types import NS_PER_S
 TREND_TIME = 10.0
 """Message time over which the trend of a coefficient is shown, s."""
 
-TREND_POINTS = 20
-"""Values kept of each coefficient over that time."""
 
 STALE_AFTER = 1.5
 """Seconds without a tick after which the last one is stale: the slowest update rate is 1 Hz."""
@@ -82,8 +80,7 @@ class WatchedNode:
             self._past.clear()  # the node was restarted, with other data or another structure
         self.ticks += before is None or t_ns != before.t_ns
         self.newest, self._arrived = new, self._clock()
-        if not self._past or t_ns - self._past[-1][0] >= TREND_TIME / TREND_POINTS * NS_PER_S:
-            self._past.append((t_ns, new.values))
+        self._past.append((t_ns, new.values))
         while t_ns - self._past[0][0] > TREND_TIME * NS_PER_S:
             self._past.popleft()
 
@@ -123,7 +120,7 @@ class WatchedNode:
         if (new := self.newest) is None:
             return rows
         for name, index in new.structure.places.items():
-            past = (*(values[index] for _, values in self._past), new.values[index])
+            past = tuple(values[index] for _, values in self._past)
             coefficient = Coefficient(name, new.values[index], new.sigma[index], past)
             rows.setdefault(name.partition("/")[0], []).append(coefficient)
         return rows

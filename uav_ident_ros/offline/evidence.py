@@ -10,12 +10,12 @@ import numpy as np
 
 from uav_ident_ros.identification.delay import NO_ESTIMATE, DelayEstimate
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.prediction import PredictionFit
+from uav_ident_ros.identification.prediction import Flown, PredictionFit
 from uav_ident_ros.identification.regression import StateVariableFilter
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.identification.structure import INPUTS, ROWS, STRUCTURES, FloatArray, Structure
-from uav_ident_ros.offline.run import OfflineRun, Refusals, Stretch, time_bases
+from uav_ident_ros.offline.run import PAUSE_NS, OfflineRun, Refusals
 
 FULL = STRUCTURES["augmented"]
 FIT_WINDOWS = "last_40_percent"
@@ -89,28 +89,27 @@ class Evidence:
 
 def gather(run: OfflineRun, fits: Mapping[str, PredictionFit]) -> Evidence:
     """Return the evidence of a replay with at least one estimate."""
-    identifier = run.identifier
-    parts = time_bases(run.stretches())  # a part begins at each gap of the recording
-    rates = np.concatenate([part.rates for part in parts])
-    inputs = np.concatenate([part.inputs.u for part in parts])
-    result = run.result()
+    identifier, result = run.identifier, run.result()
+    flown = run.flown()
+    inputs = flown.inputs.u if len(flown.inputs.u) else np.zeros((1, len(INPUTS)))
+    flown_ns = int(flown.t_ns[-1] - flown.t_ns[0]) - PAUSE_NS * len(run.restarts)
     return Evidence(
         settings=run.inputs.settings,
         structure=run.structure,
         values=result.values,
         sigma=result.sigma,
         fit=fits[FIT_WINDOWS],
-        duration=sum(float(part.t_ns[-1] - part.t_ns[0]) for part in parts) * NS,
-        rate_spread=rates.std(axis=0),
-        gyro_noise=gyro_noise(*(part.rates for part in parts)),
-        input_spread=inputs.std(axis=0) if len(inputs) else np.zeros(len(INPUTS)),
-        imu_rate=_rate([part.t_ns for part in parts]),
-        actuator_rate=_rate([part.inputs.t_ns for part in parts]),
-        input_median=np.median(inputs, axis=0) if len(inputs) else np.zeros(len(INPUTS)),
+        duration=flown_ns * NS,
+        rate_spread=flown.rates.std(axis=0),
+        gyro_noise=gyro_noise(flown.rates),
+        input_spread=inputs.std(axis=0),
+        imu_rate=_rate(flown.t_ns),
+        actuator_rate=_rate(flown.inputs.t_ns),
+        input_median=np.median(inputs, axis=0),
         delay=identifier.delays.estimate,
         delay_in_use=identifier.delay,
         lag_in_use=identifier.lag,
-        force_share=_force_share(run, parts),
+        force_share=_force_share(run, flown),
         collinear=tuple(identifier.estimator.information.collinear()),
         lost=lost_to(run.estimates),
         gate_settings={
@@ -139,41 +138,39 @@ def reason_of(estimate: Estimate) -> str:
     return "" if estimate.adapting else _NUMBER.sub("…", estimate.reason)
 
 
-def gyro_noise(*parts: FloatArray) -> FloatArray:
+def gyro_noise(rates: FloatArray) -> FloatArray:
     """Estimate the white noise of evenly sampled rates (k, 3), same unit, from third differences.
 
     The motion of an aircraft hardly contributes at 50 Hz and more; vibration does.
     """
-    differences = np.concatenate([np.diff(rates, n=3, axis=0) for rates in parts])
+    differences = np.diff(rates, n=3, axis=0)
     if not len(differences):
         return np.zeros(differences.shape[1])
     usual = [np.median(column) for column in np.abs(differences).T]
     return np.array(usual) / _NORMAL_MEDIAN / _DIFFERENCE_NOISE
 
 
-def _rate(parts: Sequence[TimeArray]) -> float:
-    """Return the median rate of stamps, Hz; 0 if all parts have fewer than two."""
-    steps = np.concatenate([np.diff(t_ns) for t_ns in parts])
-    return 1.0 / (float(np.median(steps)) * NS) if len(steps) else 0.0
+def _rate(t_ns: TimeArray) -> float:
+    """Return the median rate of stamps, Hz; 0 if there are fewer than two."""
+    return 1.0 / (float(np.median(np.diff(t_ns))) * NS) if len(t_ns) > 1 else 0.0
 
 
-def _force_share(run: OfflineRun, parts: Sequence[Stretch]) -> dict[str, float]:
+def _force_share(run: OfflineRun, flown: Flown) -> dict[str, float]:
     """Return the share of each row's residual that its specific force as a regressor would explain.
 
-    Residuals are those of least squares on the filtered signals of all parts.
+    Residuals are those of least squares on the filtered signals.
     """
     settings, structure = run.inputs.settings, run.structure
     if structure.size >= FULL.size:
         return {}
-    arm = np.array(settings.imu.lever_arm)
     products: FloatArray = np.zeros((FULL.size + len(ROWS),) * 2)
-    for part in parts:
-        whole = None
-        for block in run.blocks(part):
-            whole = whole or StateVariableFilter(FULL, settings.filter.cutoff, block.h, arm)
-            data = whole.apply(block)
-            signals = np.hstack([data.f, data.y])
-            products += signals.T @ signals
+    whole = None
+    for block in run.blocks(flown.inputs):
+        cutoff = settings.filter.cutoff
+        whole = whole or StateVariableFilter(FULL, cutoff, block.h, flown.lever_arm)
+        data = whole.apply(block)
+        signals = np.hstack([data.f, data.y])
+        products += signals.T @ signals
 
     def residual(row: int, columns: list[int]) -> float:
         """Return the residual sum of squares of a row's acceleration on some columns."""

@@ -164,16 +164,19 @@ class Pooled(NamedTuple):
         return math.hypot(self.sigma, self.scatter)
 
 
+def weighted(values: FloatArray, sigmas: FloatArray, scatter: float = 0.0) -> tuple[float, float]:
+    """Return the mean of values (k,), weighted by their variances, and its standard deviation."""
+    weight = 1.0 / (sigmas**2 + scatter**2)
+    return float((weight * values).sum() / weight.sum()), float(weight.sum()) ** -0.5
+
+
 def pool(values: FloatArray, sigmas: FloatArray) -> Pooled:
     """Pool the estimates of some flights, (k,) each, every sigma positive."""
-    weight = 1.0 / sigmas**2
-    mean = float((weight * values).sum() / weight.sum())
-    excess = float((weight * (values - mean) ** 2).sum()) - (len(values) - 1)
-    scale = float(weight.sum() - (weight**2).sum() / weight.sum())
+    mean, sigma = weighted(values, sigmas)
+    excess = float((((values - mean) / sigmas) ** 2).sum()) - (len(values) - 1)
+    scale = sigma**-2 - float((sigmas**-4).sum()) * sigma**2
     scatter = math.sqrt(max(excess / scale, 0.0)) if scale > 0.0 else 0.0
-    weight = 1.0 / (sigmas**2 + scatter**2)
-    mean = float((weight * values).sum() / weight.sum())
-    return Pooled(mean, float(weight.sum()) ** -0.5, scatter, len(values))
+    return Pooled(*weighted(values, sigmas, scatter), scatter, len(values))
 
 
 def is_clear(values: FloatArray, sigmas: FloatArray) -> bool:
@@ -242,10 +245,9 @@ def changes(
 def _deviation(values: FloatArray, sigmas: FloatArray, before: list[int], now: list[int]) -> float:
     """Return the deviation of some flights from the baseline before, in standard deviations."""
     usual = pool(values[before], sigmas[before])
-    weight = 1.0 / (sigmas[now] ** 2 + usual.scatter**2)
-    mean = float((weight * values[now]).sum() / weight.sum())
-    spread = math.hypot(usual.sigma, float(weight.sum()) ** -0.5)
-    return abs(standard((mean - usual.value) / spread, len(before) - 1))
+    mean, sigma = weighted(values[now], sigmas[now], usual.scatter)
+    off = (mean - usual.value) / math.hypot(usual.sigma, sigma)
+    return abs(standard(off, len(before) - 1))
 
 
 @dataclass(frozen=True)

@@ -43,13 +43,8 @@ def main(args: list[str] | None = None) -> int:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "tables",
-        type=given_path,
-        nargs="+",
-        metavar="TABLE",
-        help="flights.csv or flights.parquet of a replay of many bags, or its folder",
-    )
+    tables_help = "flights.csv or flights.parquet of a replay of many bags, or its folder"
+    parser.add_argument("tables", type=given_path, nargs="+", metavar="TABLE", help=tables_help)
     folder_help = "folder of the results (default: of the table)"
     parser.add_argument("--output", type=given_path, metavar="DIR", help=folder_help)
     options = parser.parse_args(args)

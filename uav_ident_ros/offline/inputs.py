@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from uav_ident_ros.bags.reading import Bag, BagError
-from uav_ident_ros.identification.samples import NS
+from uav_ident_ros.identification.samples import EXCITATION, NS
 from uav_ident_ros.identification.settings import Settings
 from uav_ident_ros.messages.streams import EXCITATION_END, OWN_TOPICS, STREAMS, Stream
 from uav_ident_ros.messages.types import EXCITATION_TYPE
@@ -36,27 +36,20 @@ def choose_inputs(
 ) -> BagInputs:
     """Find the input topics of a bag.
 
-    Raises
-    ------
-    BagError
-        If a topic is missing, not of a usable type, or there are several to choose from.
-    SettingsError
-        If a parameter is wrong.
+    Raises `BagError` if a topic is missing, not of a usable type, or there are several to choose
+    from, and `SettingsError` if a parameter is wrong.
     """
     values = dict(parameters)
     Settings.from_values(values)  # errors of the parameters come before those of the bag
+    requested = {EXCITATION: _find_injected(bag), **(requested or {})}
     topics = {}
     for stream in STREAMS:
-        topic = (requested or {}).get(stream.name)
-        if not stream.setting:
-            topics[stream.name] = _choose(bag, stream, topic, "") if topic else _find_injected(bag)
-            continue
-        wanted = str(values.get(stream.setting) or "")
+        topic, wanted = requested.get(stream.name), str(values.get(stream.setting) or "")
         if topic or wanted or not stream.optional:
             topics[stream.name] = _choose(bag, stream, topic, wanted)
-            values[stream.setting] = bag.type_of(topics[stream.name])
-    read = {name: topic for name, topic in topics.items() if topic}
-    return BagInputs(read, Settings.from_values(values))
+            if stream.setting:
+                values[stream.setting] = bag.type_of(topics[stream.name])
+    return BagInputs(topics, Settings.from_values(values))
 
 
 def _find_injected(bag: Bag) -> str:

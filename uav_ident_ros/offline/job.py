@@ -52,12 +52,7 @@ def reserved(folder: Path) -> Iterator[None]:
     """Make a folder of results, and reserve it for the replays of the block.
 
     The reservation ends with the process, however that ends. A folder that is left empty is
-    removed.
-
-    Raises
-    ------
-    BagWriteError
-        If the folder cannot be written, or if another replay writes into it.
+    removed. Raises `BagWriteError` if it cannot be written, or if another replay writes into it.
     """
     missing = [path for path in (folder, *folder.parents) if not path.exists()]
     try:

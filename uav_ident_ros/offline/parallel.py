@@ -36,9 +36,6 @@ end all of them."""
 ENDING = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 """Signals that end the command, and all its processes."""
 
-Outcomes = Iterator[tuple[Job, Outcome | None]]
-"""Jobs with their outcomes, in the order of completion; None if the process of a job has ended."""
-
 
 def replay_all(
     jobs: Sequence[Job],  # The jobs; their folders must differ
@@ -46,55 +43,54 @@ def replay_all(
     # Address of a Dask scheduler whose workers run the jobs instead; they need the same paths
     scheduler: str = "",
 ) -> list[Outcome]:
-    """Run jobs in parallel, outcomes in their order; raises `BagError` without the scheduler."""
+    """Run jobs in parallel, outcomes in their order; raises `BagError` without the scheduler.
+
+    The end of one process breaks a pool of this machine. The remaining jobs run one by one, each in
+    a pool of its own. A flight that ends its process then affects no other.
+    """
     outcomes: dict[Path, Outcome] = {}
     with Bar(total=len(jobs), unit=" replays") as shown:
-        for job, outcome in _remote(jobs, scheduler) if scheduler else _local(jobs, workers):
-            lost = f"bag '{job.bag}': the process that read it was ended"
-            outcomes[job.folder] = outcome or Outcome(job, NO_RESULT, (lost,))
-            shown.update()
+
+        def run(executor: Executor, jobs: Sequence[Job]) -> None:
+            for outcome in _finished(executor, jobs):
+                outcomes[outcome.job.folder] = outcome
+                shown.update()
+
+        with _cluster(scheduler) if scheduler else _pool(min(workers, len(jobs))) as executor:
+            run(executor, jobs)
+        left = [] if scheduler else [job for job in jobs if job.folder not in outcomes]
+        for job in left:
+            with _pool(1) as executor:
+                run(executor, [job])
+    for job in jobs:
+        lost = f"bag '{job.bag}': the process that read it was ended"
+        outcomes.setdefault(job.folder, Outcome(job, NO_RESULT, (lost,)))
     return [outcomes[job.folder] for job in jobs]
 
 
-def _remote(jobs: Sequence[Job], scheduler: str) -> Outcomes:
-    """Run jobs on a cluster and yield their outcomes."""
+def _finished(executor: Executor, jobs: Sequence[Job]) -> Iterator[Outcome]:
+    """Run jobs; yield their outcomes, but those of jobs whose process has ended."""
+    # Ctrl-C must not reach the processes: this one ends them, and not while it starts one.
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    try:
+        futures = [executor.submit(work, job) for job in jobs]
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+    for future in as_completed(futures):
+        error = future.exception()
+        if not (isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker"):
+            yield future.result()
+
+
+@contextmanager
+def _cluster(scheduler: str) -> Iterator[Executor]:
+    """Open the workers of a cluster."""
     try:
         client = optional("distributed").Client(scheduler)
     except (OSError, ValueError) as error:
         raise BagError(f"no Dask scheduler answers at '{scheduler}': {error}") from None
     with client, client.get_executor(pure=False, retries=ATTEMPTS) as executor:
-        yield from _submit(executor, jobs)
-
-
-def _local(jobs: Sequence[Job], workers: int) -> Outcomes:
-    """Run jobs in processes of this machine and yield their outcomes.
-
-    The end of one process breaks the pool. The remaining jobs run one by one, each in a pool of its
-    own. A flight that ends its process then affects no other.
-    """
-    left: list[Job] = []
-    with _pool(min(workers, len(jobs))) as executor:
-        for job, outcome in _submit(executor, jobs):
-            if outcome is None:
-                left.append(job)
-            else:
-                yield job, outcome
-    for job in left:
-        with _pool(1) as executor:
-            yield from _submit(executor, [job])
-
-
-def _submit(executor: Executor, jobs: Sequence[Job]) -> Outcomes:
-    # Ctrl-C must not reach the processes: this one ends them, and not while it starts one.
-    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
-    try:
-        futures = {executor.submit(work, job): job for job in jobs}
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
-    for future in as_completed(futures):
-        error = future.exception()
-        gone = isinstance(error, BrokenProcessPool) or type(error).__name__ == "KilledWorker"
-        yield futures[future], None if gone else future.result()
+        yield executor
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import sys
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,34 +50,9 @@ PIECE = 4096
 """Ticks predicted at a time, hence models that run in parallel."""
 
 
-@dataclass(frozen=True)
-class Stretch(Flown):
-    """Measurements and estimates of one time base, with one delay of the inputs."""
-
-    _: KW_ONLY
-    era: int  # Number of restarts of the time base before it
-    ticks: Ticks  # The estimates with that delay
-
-    def pieces(self, horizon: float) -> Iterator[tuple[Flown, Published]]:
-        """Yield groups of ticks with the measurements for predictions `horizon` s ahead.
-
-        The grid of a group takes some MB; that of an hour would take hundreds.
-        """
-        ahead_ns = round(horizon * NS_PER_S)
-        for first in range(0, len(self.ticks), PIECE):
-            ticks = self.ticks[first : first + PIECE]
-            stamps = ticks.stamps()
-            begin = np.searchsorted(self.t_ns, stamps[0], side="right") - 1
-            end = np.searchsorted(self.t_ns, stamps[-1] + ahead_ns) + 1
-            measured = slice(max(int(begin), 0), int(end))
-            parts = {name: getattr(self, name)[measured] for name in ("t_ns", "rates", "force")}
-            yield replace(self, **parts), Published.of(ticks, ticks.structure)
-
-
-def time_bases(stretches: Iterable[Stretch]) -> list[Stretch]:
-    """Return the longest stretch, in ticks, of every time base."""
-    most = {part.era: part for part in sorted(stretches, key=lambda part: len(part.ticks))}
-    return [most[era] for era in sorted(most)]
+PAUSE_NS = NS_PER_S
+"""Time between two time bases on the clock of the flight, ns: the true time is unknown, or days. No
+window of the score spans it."""
 
 
 LINE_EVERY = 30.0
@@ -108,28 +83,27 @@ class Refusals:
 
 
 class Record:
-    """Samples of one stream that the identifier accepted, by their time base."""
+    """Samples of one stream that the identifier accepted, by the clock of the flight."""
 
     def __init__(
         self,
         width: int,  # Values per sample
     ) -> None:
         self._width = width
-        self._t: dict[int, array[int]] = defaultdict(lambda: array("q"))
-        self._values: dict[int, array[float]] = defaultdict(lambda: array("d"))
+        self._t, self._values = array("q"), array("d")
 
-    def append(self, t_ns: int, values: Iterable[float], era: int) -> None:
-        """Add a sample; `era` is the number of restarts of the time base before it."""
-        self._t[era].append(t_ns)
-        self._values[era].extend(values)
+    def append(self, t_ns: int, values: Iterable[float]) -> None:
+        """Add a sample."""
+        self._t.append(t_ns)
+        self._values.extend(values)
 
-    def of_era(self, era: int) -> tuple[TimeArray, FloatArray]:
-        """Return stamps (k,), strictly rising, and values (k, width) of one time base.
+    def samples(self) -> tuple[TimeArray, FloatArray]:
+        """Return stamps (k,), strictly rising, and values (k, width).
 
         They may be views of the record: while they exist, no sample can be added.
         """
-        t_ns = np.frombuffer(self._t[era], np.int64)
-        values = np.frombuffer(self._values[era]).reshape(-1, self._width)
+        t_ns = np.frombuffer(self._t, np.int64)
+        values = np.frombuffer(self._values).reshape(-1, self._width)
         if (t_ns[1:] > t_ns[:-1]).all():
             return t_ns, values
         t_ns, first = np.unique(t_ns, return_index=True)
@@ -137,7 +111,11 @@ class Record:
 
 
 class OfflineRun:
-    """One pass of the identifier over the messages of a bag."""
+    """One pass of the identifier over the messages of a bag.
+
+    The clock of the flight goes on where that of the stamps jumps: each time base begins `PAUSE_NS`
+    after the last.
+    """
 
     def __init__(
         self,
@@ -149,15 +127,17 @@ class OfflineRun:
         self.identifier = OnlineIdentifier(inputs.settings, initial, **parts)
         self.structure: Structure = self.identifier.structure  # Structure of the estimates
         self.estimates = Ticks(self.structure)  # One per tick, in order
-        self.era = 0  # Number of restarts of the time base so far
+        self.tick_ns: list[int] = []  # Their times by the clock of the flight, ns
+        self.restarts: list[int] = []  # Starts of the later time bases by that clock, ns
         self.frame_ids: set[str] = set()  # All frames of the rates
         # Accepted samples: rates and forces in the sensor's axes, actuators as raw channels
         self._rates, self._actuators = Record(6), Record(len(inputs.settings.actuators.channels))
         self._feeds: dict[str, Feed] = {}
         self._newest_ns: int | None = None
+        self._shift_ns = 0  # From the stamps to the clock of the flight, ns
         self._learned = -1  # Index of the last tick that learned; the last tick if none did
-        # Indices of the estimates of each time base with each delay and lag
-        self._ticks_of: dict[tuple[int, float, float], list[int]] = defaultdict(list)
+        # Indices of the estimates with each delay and lag
+        self._ticks_of: dict[tuple[float, float], list[int]] = defaultdict(list)
 
     def run(
         self,
@@ -166,10 +146,7 @@ class OfflineRun:
     ) -> None:
         """Run the identifier on all messages of the topics, in the order of log time.
 
-        Raises
-        ------
-        BagError
-            If a topic is missing, its type is unknown, or nothing can be read.
+        Raises `BagError` if a topic is missing, its type is unknown, or nothing can be read.
         """
         topics = self.inputs.topics
         for stream in STREAMS:
@@ -191,16 +168,17 @@ class OfflineRun:
         elif feed.stream.name == ACTUATORS and taken is not None:
             t_ns, values = taken
             t_ns -= self.identifier.intake.clock_steps.correction_ns
-            self._actuators.append(t_ns, values, self.era)
+            self._actuators.append(t_ns + self._shift_ns, values)
 
     def _keep_rates(self, t_ns: int, values: Any) -> None:
         jump_ns = round(self.inputs.settings.time_jump * NS_PER_S)
         if self._newest_ns is not None and abs(t_ns - self._newest_ns) > jump_ns:
-            self.era += 1
+            self._shift_ns += self._newest_ns + PAUSE_NS - t_ns
+            self.restarts.append(t_ns + self._shift_ns)
             self._newest_ns = t_ns
         self._newest_ns = max(t_ns, self._newest_ns or t_ns)
         rates, force = values
-        self._rates.append(t_ns, (*rates, *(force or (0.0, 0.0, 0.0))), self.era)
+        self._rates.append(t_ns + self._shift_ns, (*rates, *(force or (0.0, 0.0, 0.0))))
         for feed in self._feeds.values():
             feed.settle()
 
@@ -210,8 +188,9 @@ class OfflineRun:
             index = len(self.estimates)
             if identifier.idle == 0.0 and identifier.speed_believed:
                 self._learned = index
-            self._ticks_of[self.era, identifier.delay, identifier.lag].append(index)
+            self._ticks_of[identifier.delay, identifier.lag].append(index)
             self.estimates.append(estimate)
+            self.tick_ns.append(estimate.t_ns + self._shift_ns)
 
     # -- results ---------------------------------------------------------------------------
 
@@ -255,49 +234,56 @@ class OfflineRun:
         return self.identifier.coefficient_set(self.estimates[-1].t_ns)
 
     def score(self) -> dict[str, PredictionFit]:
-        """Return the score of record of the estimates; a new time base goes on from the last."""
-        errors: list[WindowErrors] = []
-        shifts: dict[int, int] = {}
-        end_ns = 0
-        for part in self.stretches():
-            shift_ns = shifts.setdefault(part.era, end_ns - int(part.t_ns[0]))
-            end_ns = int(part.t_ns[-1]) + shift_ns
-            for piece in part.pieces(HORIZONS[-1]):
-                found = window_errors(*piece)
-                errors.append(replace(found, t_ns=found.t_ns + shift_ns))
-        return score_windows(WindowErrors.join(errors), 0, end_ns)
+        """Return the score of record of the estimates, as if no time had passed in the pauses."""
+        errors = WindowErrors.join([window_errors(*piece) for piece in self.pieces(HORIZONS[-1])])
+        pauses = np.searchsorted(self.restarts, errors.t_ns, side="right")
+        errors = replace(errors, t_ns=errors.t_ns - PAUSE_NS * pauses)
+        t_ns, _ = self._rates.samples()
+        return score_windows(errors, int(t_ns[0]), int(t_ns[-1]) - PAUSE_NS * len(self.restarts))
 
-    def stretches(self) -> Iterator[Stretch]:
-        """Yield measurements and estimates of every time base and every delay."""
+    def flown(self) -> Flown:
+        """Return the measurements, by the clock of the flight; the inputs act as at most ticks."""
         imu = self.inputs.settings.imu
         arm, frame = np.array(imu.lever_arm), BodyFrame(imu)
-        measured = {}
-        for era in {era for era, *_ in self._ticks_of}:
-            t_ns, values = self._rates.of_era(era)
-            force = frame.to_body(values[:, 3:])[:, 1:].copy()
-            measured[era] = t_ns, frame.to_body(values[:, :3]), force
-        for (era, delay, lag), which in sorted(self._ticks_of.items()):
-            t_ns, rates, force = measured[era]
-            raw_t_ns, raw = self._actuators.of_era(era)
-            # The identifier's own map has the trim that it may have learned in flight.
-            u = self.identifier.sampler.input_map.apply(raw)
-            yield Stretch(
-                t_ns, rates, InputSignal(raw_t_ns, u, delay, lag), force, arm,
-                era=era, ticks=self.estimates.chosen(which),
-            )  # fmt: skip
+        t_ns, values = self._rates.samples()
+        rates, force = frame.to_body(values[:, :3]), frame.to_body(values[:, 3:])[:, 1:].copy()
+        raw_t_ns, raw = self._actuators.samples()
+        # The identifier's own map has the trim that it may have learned in flight.
+        u = self.identifier.sampler.input_map.apply(raw)
+        delay, lag = max(self._ticks_of, key=lambda acting: len(self._ticks_of[acting]))
+        return Flown(t_ns, rates, InputSignal(raw_t_ns, u, delay, lag), force, arm)
 
-    def blocks(self, part: Stretch) -> Iterator[Block]:
-        """Yield the signals of a stretch on a uniform grid, in blocks of at most `PORTION`.
+    def pieces(self, horizon: float) -> Iterator[tuple[Flown, Published]]:
+        """Yield groups of ticks with the measurements for predictions `horizon` s ahead.
 
-        They are conditioned as in flight, with the trim and the delay of the stretch.
+        The inputs of a group have one delay. Its grid takes some MB; that of an hour would take
+        hundreds.
+        """
+        flown, tick_ns, ahead_ns = self.flown(), np.array(self.tick_ns), round(horizon * NS_PER_S)
+        for (delay, lag), ticks in sorted(self._ticks_of.items()):
+            inputs = replace(flown.inputs, delay=delay, time_constant=lag)
+            for first in range(0, len(ticks), PIECE):
+                which = ticks[first : first + PIECE]
+                stamps = tick_ns[which]
+                begin = np.searchsorted(flown.t_ns, stamps[0], side="right") - 1
+                end = np.searchsorted(flown.t_ns, stamps[-1] + ahead_ns) + 1
+                near = slice(max(int(begin), 0), int(end))
+                parts = {name: getattr(flown, name)[near] for name in ("t_ns", "rates", "force")}
+                published = Published.of(self.estimates.chosen(which), self.structure)
+                yield replace(flown, inputs=inputs, **parts), replace(published, t_ns=stamps)
+
+    def blocks(self, inputs: InputSignal) -> Iterator[Block]:
+        """Yield the signals on a uniform grid, in blocks of at most `PORTION`.
+
+        They are conditioned as in flight, with the trim, and delay and lag of `inputs`.
         """
         settings = self.inputs.settings
         actuators = replace(settings.actuators, learn_trim_time=0.0)
         sampler = Sampler(replace(settings, actuators=actuators))
-        sampler.delay, sampler.time_constant = part.inputs.delay, part.inputs.time_constant
+        sampler.delay, sampler.time_constant = inputs.delay, inputs.time_constant
         sampler.input_map = self.identifier.sampler.input_map
-        sampler.raw_inputs.t, sampler.raw_inputs.v = self._actuators.of_era(part.era)
-        t_ns, values = self._rates.of_era(part.era)
+        sampler.raw_inputs.t, sampler.raw_inputs.v = self._actuators.samples()
+        t_ns, values = self._rates.samples()
         for first in range(0, len(t_ns), PORTION):
             new = slice(first, first + PORTION)
             sampler.rates.t = np.concatenate([sampler.rates.t, t_ns[new]])

@@ -24,7 +24,7 @@ from uav_ident_ros.messages.streams import STREAMS
 from uav_ident_ros.offline.advice import advise
 from uav_ident_ros.offline.evidence import FIT_WINDOWS, Evidence
 from uav_ident_ros.offline.inputs import candidates
-from uav_ident_ros.offline.run import OfflineRun, time_bases
+from uav_ident_ros.offline.run import OfflineRun
 from uav_ident_ros.report.flight import ReplayedFlight
 
 MISSING_TIME = 1.0
@@ -69,21 +69,18 @@ def _mixed_frames(run: OfflineRun) -> Iterator[str]:
 
 def _missing_actuators(run: OfflineRun) -> Iterator[str]:
     """Yield notes on actuators that start late or stop early."""
-    parts = time_bases(run.stretches())
-    if not any(len(part.inputs.t_ns) for part in parts):
+    flown = run.flown()
+    imu, actuators = flown.t_ns, flown.inputs.t_ns
+    if not len(actuators):
         topic = run.inputs.streams["actuators"]
         problem = run.problems("actuators") or "nothing is learned"
         yield f"{topic} has no messages that could be used: {problem}"
         return
-    first, last = parts[0], parts[-1]
-    if len(first.inputs.t_ns):
-        late = int(first.inputs.t_ns[0] - first.t_ns[0]) * NS
-        if late > MISSING_TIME:
-            yield f"the actuators start {late:.1f} s after the Imu: nothing is learned before"
-    if len(last.inputs.t_ns):
-        early = int(last.t_ns[-1] - last.inputs.t_ns[-1]) * NS
-        if early > MISSING_TIME:
-            yield f"the actuators stop {early:.1f} s before the Imu: nothing is learned after"
+    late, early = int(actuators[0] - imu[0]) * NS, int(imu[-1] - actuators[-1]) * NS
+    if late > MISSING_TIME:
+        yield f"the actuators start {late:.1f} s after the Imu: nothing is learned before"
+    if early > MISSING_TIME:
+        yield f"the actuators stop {early:.1f} s before the Imu: nothing is learned after"
 
 
 # --- the results ----------------------------------------------------------------------------------

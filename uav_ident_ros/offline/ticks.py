@@ -10,21 +10,9 @@ from typing import overload
 
 import numpy as np
 
+from uav_ident_ros.bags import writing
 from uav_ident_ros.bags.reading import METADATA_FILE
-from uav_ident_ros.bags.writing import (
-    ARRAY,
-    JOINT_STATE,
-    VECTOR,
-    BagWriteError,
-    BagWriter,
-    array,
-    joint_state,
-    qos,
-    vector_stamped,
-    whole,
-)
 from uav_ident_ros.identification.estimate import Estimate
-from uav_ident_ros.identification.samples import TimeArray
 from uav_ident_ros.identification.structure import FloatArray, Structure
 from uav_ident_ros.messages.published import coefficients_layout, dense_coefficients, named_entries
 from uav_ident_ros.offline import NODE_NAME
@@ -69,10 +57,6 @@ class Ticks(Sequence[Estimate]):
         values[mask], sigma[mask] = estimate.coefficients, estimate.sigma
         return replace(estimate, coefficients=values, sigma=sigma)
 
-    def stamps(self) -> TimeArray:
-        """Return the message times of the ticks, ns, shape (K,)."""
-        return np.array([estimate.t_ns for estimate in self._estimates], dtype=np.int64)
-
     def history(self, index: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         """Return one coefficient and its standard deviation over the ticks, (K,) each."""
         k = self.structure.free.index(index)
@@ -91,25 +75,25 @@ def write_estimates(
 ) -> None:
     """Write a bag of estimates as of the node; as `check_place`, raises `BagWriteError`."""
     check_place(path)
-    latched, reliable = qos(1, transient_local=True), qos(10)
+    latched, reliable = writing.qos(1, transient_local=True), writing.qos(10)
     topics = {
-        "coefficients_named": (JOINT_STATE, latched),
-        "coefficients": (ARRAY, latched),
-        "predicted_rates": (VECTOR, reliable),
-        "prediction_error": (VECTOR, reliable),
+        "coefficients_named": (writing.JOINT_STATE, latched),
+        "coefficients": (writing.ARRAY, latched),
+        "predicted_rates": (writing.VECTOR, reliable),
+        "prediction_error": (writing.VECTOR, reliable),
     }
     structure = estimates.structure
     layout = coefficients_layout(structure)
-    with whole(path, replace=True) as working, BagWriter(working) as bag:
+    with writing.whole(path, replace=True) as working, writing.BagWriter(working) as bag:
         for topic, (msgtype, profile) in topics.items():
             bag.topic(f"{NODE_NAME}/{topic}", msgtype, profile)
         for e in estimates:
             rates, errors = e.predicted_rates.tolist(), e.prediction_error.tolist()
             messages = (
-                joint_state(e.t_ns, *named_entries(e, structure)),
-                array(dense_coefficients(e, structure), layout),
-                vector_stamped(e.t_ns, rates, frame_id),
-                vector_stamped(e.t_ns, errors, frame_id),
+                writing.joint_state(e.t_ns, *named_entries(e, structure)),
+                writing.array(dense_coefficients(e, structure), layout),
+                writing.vector_stamped(e.t_ns, rates, frame_id),
+                writing.vector_stamped(e.t_ns, errors, frame_id),
             )
             for topic, message in zip(topics, messages, strict=True):
                 bag.write(f"{NODE_NAME}/{topic}", e.t_ns, message)
@@ -122,4 +106,4 @@ def check_place(path: Path) -> None:
         if all(file.suffix == ".mcap" and file.is_file() for file in files):
             return
     if path.exists():
-        raise BagWriteError(f"'{path}' exists and is no bag: it is left alone")
+        raise writing.BagWriteError(f"'{path}' exists and is no bag: it is left alone")

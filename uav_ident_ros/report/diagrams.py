@@ -16,9 +16,6 @@ from uav_ident_ros.report.flight import Predictions, ReplayedFlight
 from uav_ident_ros.report.style import COLORS, DASHES, SERIES
 from uav_ident_ros.report.timeline import Chart, columns, hover, plain_figure, value_range
 
-FLIGHT_SIGNALS = (*INPUTS, *RATES, *SPECIFIC_FORCES)
-"""Signals of a flight, in the order of `signals`."""
-
 SEGMENT_TIME = 20.0
 """Length of the segments of the spectra, s: it resolves 0.05 Hz."""
 
@@ -42,19 +39,17 @@ MOST_SAMPLES = 200_000
 """Most samples of a distribution, 17 minutes at 200 Hz; more are thinned evenly."""
 
 
-def signals(flight: ReplayedFlight) -> FloatArray:
-    """Return inputs, rates and specific forces at gyro samples, shape (N, 9)."""
-    every = slice(None, None, -(-len(flight.t) // MOST_SAMPLES))
-    return np.concatenate([flight.u[every], flight.rates[every], flight.force[every]], axis=1)
+def signals(flight: ReplayedFlight) -> dict[str, FloatArray]:
+    """Return inputs, rates and specific forces at gyro samples, by name, (N,) each."""
+    step = -(-len(flight.t) // MOST_SAMPLES)
+    values = (*flight.u[::step].T, *flight.rates[::step].T, *flight.force[::step].T)
+    return dict(zip((*INPUTS, *RATES, *SPECIFIC_FORCES), values, strict=True))
 
 
 def autocorrelation(residual: FloatArray, lags: int) -> FloatArray:
-    """Return the autocorrelation of residuals (N, m) at lags of 1 to `lags` samples.
+    """Return the autocorrelation of residuals (N, m) at lags of 1 to `lags` samples, (lags, m).
 
-    Returns
-    -------
-    (lags, m) array
-        0 for white noise, of which 95 % is within 1.96 / sqrt(N) of zero.
+    It is 0 for white noise, of which 95 % is within 1.96 / sqrt(N) of zero.
     """
     centred = residual - residual.mean(axis=0)
     power = (centred**2).sum(axis=0)
@@ -111,10 +106,6 @@ def _lines(chart: Any, x: FloatArray, lines: dict[str, FloatArray], unit: str) -
         style = {"color": COLORS[SERIES[k]], "line_dash": DASHES[k], "line_width": 1.5}
         drawn = chart.line("x", name, source=source, legend_label=name, **style)
         hover(chart, drawn, (unit, "@x{0.000}"), (name, f"@{{{name}}}{{0.000e+0}}"), mode="vline")
-    if lines:
-        chart.legend.orientation = "horizontal"
-        chart.legend.background_fill_alpha = 0.6
-        chart.legend.padding = chart.legend.margin = 2
 
 
 def whiteness_chart(flight: ReplayedFlight, tick: Predictions) -> Chart | None:
@@ -126,33 +117,18 @@ def whiteness_chart(flight: ReplayedFlight, tick: Predictions) -> Chart | None:
     found = np.nan_to_num(autocorrelation(residual, lags))
     span = value_range(found, np.array([0.0, 0.2]))
     chart = plain_figure(220, "lag [s]", "autocorrelation", y_range=span)
-    _lines(
-        chart,
-        tick.horizon * np.arange(1, lags + 1),
-        dict(zip(RATES, found.T, strict=True)),
-        "lag [s]",
-    )
+    lag = tick.horizon * np.arange(1, lags + 1)
+    _lines(chart, lag, dict(zip(RATES, found.T, strict=True)), "lag [s]")
     bound = NORMAL_95 / math.sqrt(len(residual))
     chart.add_layout(
         BoxAnnotation(bottom=-bound, top=bound, fill_color=COLORS["measured"], fill_alpha=0.2)
     )
-    return Chart(
-        "whiteness",
-        "Autocorrelation of the residuals",
-        chart,
-        "Residuals one tick ahead over the last 40 %. White noise stays in the grey band 95 times "
-        "in 100. What stands out is a lag, a missing term, or gusts.",
-    )
+    return Chart("whiteness", "Autocorrelation of the residuals", chart)
 
 
 def spectrum_charts(flight: ReplayedFlight) -> Iterator[Chart]:
-    """Yield the power densities of inputs and rates; none for less than two segments.
-
-    They are those of the longest time base, by Welch's method.
-    """
-    part = max(flight.time_bases, key=lambda p: len(p.t_ns))
-    t = flight.seconds(part.era, part.t_ns)
-    even = np.arange(t[0], t[-1], 1.0 / SAMPLE_RATE)
+    """Yield the power densities of inputs and rates by Welch's method; none if it is too short."""
+    even = np.arange(flight.t[0], flight.t[-1], 1.0 / SAMPLE_RATE)
     segment = round(SEGMENT_TIME * SAMPLE_RATE)
     if len(even) < 2 * segment:
         return
@@ -165,18 +141,14 @@ def spectrum_charts(flight: ReplayedFlight) -> Iterator[Chart]:
         density = np.stack([welch(column, segment) for column in resampled], axis=1)
         middle, mean = thirds(frequency[within], density[within])
         top = float(mean.max(initial=0.0)) or 1.0
-        chart = plain_figure(
-            230,
-            "frequency [Hz]",
-            "power density",
-            x_axis_type="log",
-            y_axis_type="log",
-            y_range=(top * 10.0**-DECADES, 2.0 * top),
-            x_range=(float(frequency[within][0]), HIGHEST_FREQUENCY),
-        )
+        logarithmic = {"x_axis_type": "log", "y_axis_type": "log"}
+        spans = {
+            "x_range": (float(frequency[within][0]), HIGHEST_FREQUENCY),
+            "y_range": (top * 10.0**-DECADES, 2.0 * top),
+        }
+        chart = plain_figure(230, "frequency [Hz]", "power density", **logarithmic, **spans)
         chart.xaxis.ticker = FixedTicker(ticks=[0.1, 1.0, 10.0])
-        shown = dict(zip(labels, mean.T, strict=True))
-        shown = {k: v for k, v in shown.items() if v.max() > 0.0}
+        shown = {k: v for k, v in zip(labels, mean.T, strict=True) if v.max() > 0.0}
         _lines(chart, middle, shown, "f [Hz]")
         chart.add_layout(
             Span(dimension="height", location=cutoff, line_dash="dotted", line_width=1)
@@ -186,7 +158,7 @@ def spectrum_charts(flight: ReplayedFlight) -> Iterator[Chart]:
 
 def coverage_charts(flight: ReplayedFlight) -> Iterator[Chart]:
     """Yield the two-dimensional histograms of pairs of signals."""
-    values = dict(zip(FLIGHT_SIGNALS, signals(flight).T, strict=True))
+    values = signals(flight)
     for x, y in PAIRS:
         spans = [_span(values[x]), _span(values[y])]
         count, _, _ = np.histogram2d(values[x], values[y], bins=CELLS, range=spans)
@@ -227,13 +199,7 @@ def mode_chart(found: Sequence[Mode]) -> Chart:
     chart.ellipse("re", "im", **size, source=source, color=COLORS["tick"], fill_alpha=0.25)
     drawn = chart.scatter("re", "im", source=source, size=8, marker="x", color=COLORS["tick"])
     hover(chart, drawn, ("", "@name"), ("real", "@re{0.000}"), ("imaginary", "@im{0.000}"))
-    return Chart(
-        "mode-plane",
-        "Modes in the complex plane",
-        chart,
-        "Each cross is an eigenvalue, its ellipse one standard deviation. What is right of zero, "
-        "in the shaded half, grows.",
-    )
+    return Chart("mode-plane", "Modes in the complex plane", chart)
 
 
 def _span(values: FloatArray) -> tuple[float, float]:
@@ -264,10 +230,4 @@ def delay_chart(
     chart.add_layout(
         Span(dimension="height", location=1e3 * in_use, line_color=COLORS["ahead"], line_width=2)
     )
-    return Chart(
-        "delay-curve",
-        "Prediction error over delay",
-        chart,
-        "How much worse models predict the next second when the inputs are taken that much later. "
-        "A sharp valley is a known delay, a flat one is not. The orange line is the delay in use.",
-    )
+    return Chart("delay-curve", "Prediction error over delay", chart)

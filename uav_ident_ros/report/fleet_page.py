@@ -44,13 +44,9 @@ def _section(k: int, aircraft: FlownAircraft) -> Section:
     if others:
         folded = f"{len(others)} flights without a usable model"
         tables.append(Table("Not usable", ("flight", Words("reason")), others, folded))
-    text = (
-        f"{len(aircraft.flights)} usable flights. The band holds the next flight with 68 % "
-        "probability: scatter from flight to flight, and the error of the mean. "
-        "Orange flights are where a coefficient changed, or stands out."
-    )
+    count = f"{len(aircraft.flights)} usable flights."
     charts = [*_charts(k, aircraft)]
-    return Section(f"aircraft-{k}", aircraft.name or "no name", [text], tables, charts)
+    return Section(f"aircraft-{k}", aircraft.name or "no name", tables, charts, [count])
 
 
 def _charts(k: int, aircraft: FlownAircraft) -> Iterator[Chart]:

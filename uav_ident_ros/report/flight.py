@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flight for the report: measurements, estimates and predictions on one clock."""
+"""A flight for the report: measurements, estimates and predictions, in seconds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
@@ -14,10 +13,7 @@ from uav_ident_ros.identification.prediction import HORIZONS, InputSignal, predi
 from uav_ident_ros.identification.samples import NS, TimeArray
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.messages.published import STATE_FIELDS
-from uav_ident_ros.offline.run import PORTION, OfflineRun, time_bases
-
-PAUSE_BETWEEN = 1.0
-"""Gap drawn between two time bases, s: the true gap is unknown or days long."""
+from uav_ident_ros.offline.run import PORTION, OfflineRun
 
 
 class ReplayedFlight:
@@ -30,34 +26,20 @@ class ReplayedFlight:
         self.structure = run.structure  # Structure of the estimates
         self.settings = run.inputs.settings
         self.estimates = run.estimates  # One per tick
-        self.stretches = list(run.stretches())
-        self.time_bases = time_bases(self.stretches)  # One stretch each, which has all its rates
-        # First stamp of each time base, ns, and its time on the common clock, s
-        self._origins: dict[int, tuple[int, float]] = {}
-        start = 0.0
-        for part in self.time_bases:
-            self._origins[part.era] = (int(part.t_ns[0]), start)
-            start += int(part.t_ns[-1] - part.t_ns[0]) * NS + PAUSE_BETWEEN
-        # Times of the ticks, s, shape (K,)
-        parts = [self.seconds(part.era, part.ticks.stamps()) for part in self.stretches]
-        self.tick_t = np.sort(np.concatenate(parts))
+        self.pieces = run.pieces
+        flown = run.flown()
+        self._first_ns = int(flown.t_ns[0])
+        # Times at which a new time base begins, s
+        self.restarts = [(start_ns - self._first_ns) * NS for start_ns in run.restarts]
+        self.tick_t = self.seconds(np.array(run.tick_ns))  # Times of the ticks, s, shape (K,)
         # At the N gyro samples: times, s, (N,); p, q, r, rad/s, (N, 3); ay, az, m/s^2, (N, 2);
         # de, dr, da, dth, delayed and lagged, (N, 4)
-        bases = self.time_bases
-        self.t = np.concatenate([self.seconds(part.era, part.t_ns) for part in bases])
-        self.rates = _joined([part.rates for part in bases])
-        self.force = _joined([part.force for part in bases])
-        self.u = np.concatenate([_inputs_at(part.inputs, part.t_ns) for part in bases])
+        self.t, self.rates, self.force = self.seconds(flown.t_ns), flown.rates, flown.force
+        self.u = _inputs_at(flown.inputs, flown.t_ns)
 
-    def seconds(self, era: int, t_ns: TimeArray) -> FloatArray:
-        """Return the time of stamps of a time base on the common clock, s, same shape."""
-        first_ns, start = self._origins[era]
-        return np.asarray(start + (t_ns - first_ns) * NS)
-
-    @property
-    def restarts(self) -> list[float]:
-        """Times at which a new time base begins, s."""
-        return [start for _, start in self._origins.values()][1:]
+    def seconds(self, t_ns: TimeArray) -> FloatArray:
+        """Return times by the clock of the flight, ns, as those since its start, s, same shape."""
+        return np.asarray((t_ns - self._first_ns) * NS)
 
     @cached_property
     def ahead(self) -> Predictions:
@@ -75,10 +57,6 @@ class ReplayedFlight:
     def span(self) -> tuple[float, float]:
         """First and last time of the charts, s."""
         return 0.0, float(max(self.t[-1], self.tick_t[-1]))
-
-
-def _joined(parts: Sequence[FloatArray]) -> FloatArray:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _inputs_at(inputs: InputSignal, t_ns: TimeArray) -> FloatArray:
@@ -105,13 +83,9 @@ class Predictions:
 
 def predict(flight: ReplayedFlight, horizon: float) -> Predictions:
     """Return the free predictions from every tick for `horizon` s."""
-    parts = []
-    for part in flight.stretches:
-        for piece in part.pieces(horizon):
-            t_ns, predicted = predict_ahead(*piece, horizon)
-            parts.append((flight.seconds(part.era, t_ns), predicted))
-    t, predicted = (np.concatenate(column) for column in zip(*parts, strict=True))
-    order = np.argsort(t, kind="stable")
-    t, predicted = t[order], predicted[order]
+    parts = [predict_ahead(*piece, horizon) for piece in flight.pieces(horizon)]
+    t_ns, predicted = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(t_ns, kind="stable")
+    t, predicted = flight.seconds(t_ns[order]), predicted[order]
     measured = np.stack([np.interp(t, flight.t, column) for column in flight.rates.T], axis=1)
     return Predictions(horizon, t, predicted, measured)

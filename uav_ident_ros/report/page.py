@@ -8,9 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import yaml
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
 from bokeh.resources import Resources
+from bokeh.themes import Theme
 from jinja2 import Environment, PackageLoader
 
 from uav_ident_ros.bags.writing import write_file
@@ -21,6 +23,7 @@ from uav_ident_ros.identification.structure import RATES
 from uav_ident_ros.offline.evidence import FIT_WINDOWS
 from uav_ident_ros.offline.summary import Replayed
 from uav_ident_ros.offline.tables import (
+    Number,
     Table,
     Words,
     coefficients_table,
@@ -42,10 +45,10 @@ class Section:
 
     id: str
     heading: str
-    texts: Sequence[str] = ()
     tables: Sequence[Table] = ()
     charts: Sequence[Chart] = ()
-    cards: Sequence[Mapping[str, Any]] = ()
+    texts: Sequence[str] = ()  # Beyond those of the template
+    cards: Sequence[tuple[str, Number, Number]] = ()
 
 
 def sections(replayed: Replayed) -> Iterator[Section]:
@@ -56,68 +59,35 @@ def sections(replayed: Replayed) -> Iterator[Section]:
     tick = predict(flight, 1.0 / flight.settings.update_rate)
     fit = summary["prediction_fit"][FIT_WINDOWS]
     cards = [tables.card(fit, axis) for axis in RATES]
-    yield Section("fit", "Fit", [_FIT_TEXT], [*fit_tables(summary)], cards=cards)
+    yield Section("fit", "Fit", [*fit_tables(summary)], cards=cards)
     states = state_chart(flight, line, lost)
-    yield Section("learning", "Learning", [], [tables.gates_table(lost)], [states])
+    yield Section("learning", "Learning", [tables.gates_table(lost)], [states])
     whiteness = diagrams.whiteness_chart(flight, tick)
     charts = [*rate_charts(flight, line, tick), *([whiteness] if whiteness else [])]
-    yield Section("rates", "Rates, measured and predicted", [_RATES_TEXT], [], charts)
+    yield Section("rates", "Rates, measured and predicted", charts=charts)
     truth = read_truth(replayed.bag, flight.structure)
     coefficients = [*coefficient_charts(flight, line, truth)]
-    text = _COEFFICIENTS_TEXT
-    if flight.settings.airspeed.type:
-        text += (
-            " The charts are at the airspeed flown, the table is at the reference, "
-            f"{flight.settings.airspeed.reference:g} m/s."
-        )
+    texts, airspeed = [], flight.settings.airspeed
+    if airspeed.type:
+        at = f"{airspeed.reference:g} m/s"
+        texts = [f"The charts are at the airspeed flown, the table is at the reference, {at}."]
     table = coefficients_table(summary, truth)
     known = [table, *tables.coefficient_correlations(identifier.estimator.information)]
-    yield Section("coefficients", "Coefficients", [text], known, coefficients)
+    yield Section("coefficients", "Coefficients", known, coefficients, texts)
     if replayed.modes:
         charts = [diagrams.mode_chart(replayed.modes)]
-        yield Section("modes", "Modes", [_MODES_TEXT], [modes_table(summary)], charts)
+        yield Section("modes", "Modes", [modes_table(summary)], charts)
     charts = [
         *signal_charts(flight, line),
         *diagrams.spectrum_charts(flight),
         *diagrams.coverage_charts(flight),
     ]
     numbers = [tables.correlations_table(flight)]
-    yield Section("inputs", "Inputs, forces and states", [_INPUTS_TEXT], numbers, charts)
+    yield Section("inputs", "Inputs, forces and states", numbers, charts)
     yield _delay_section(identifier.delays, identifier.delay)
-    yield Section("messages", "Messages", [], [tables.messages_table(summary)])
-    yield Section("settings", "Settings", [], [*tables.settings_tables(summary)])
-    yield Section("origin", "Origin", [], [*tables.origin_tables(replayed.bag)])
-
-
-_FIT_TEXT = (
-    "Fit of the predictions to the measured rates over the last 40 % of the flight: 100 % is "
-    "perfect, 0 % no better than the mean. The prediction is free: after the start of each window "
-    "only the inputs are measured. The bars above are over 1 s; the mark on a bar is the fit of "
-    "holding the rates."
-)
-
-_RATES_TEXT = (
-    "Every prediction starts from the measured rates, 1 s or one tick before, with the "
-    "coefficients known then and the inputs measured since. Residuals are measured minus "
-    "predicted. Axes of the body: forward, right, down."
-)
-
-_COEFFICIENTS_TEXT = (
-    "The band is one standard deviation to either side. The dashed line is the true value, for a "
-    "simulated bag. A coefficient with a t-ratio below three is pale: it is not known."
-)
-
-_INPUTS_TEXT = (
-    "The dotted line in the spectra is the cut-off of the estimator's filter. An input excites "
-    "little if it is strongly correlated with another, or with a rate that an autopilot feeds "
-    "back. The model holds only inside the clouds of the coverage."
-)
-
-
-_MODES_TEXT = (
-    "The identified model, linearised in level flight at the airspeed of the last tick. The "
-    "coefficients count as independent in the standard deviations."
-)
+    yield Section("messages", "Messages", [tables.messages_table(summary)])
+    yield Section("settings", "Settings", [*tables.settings_tables(summary)])
+    yield Section("origin", "Origin", [*tables.origin_tables(replayed.bag)])
 
 
 def _delay_section(bank: DelayBank, in_use: float) -> Section:
@@ -135,11 +105,19 @@ def _delay_section(bank: DelayBank, in_use: float) -> Section:
             f"{1e3 * found.lag:.0f} ms, sigma {1e3 * found.lag_sigma:.0f} ms, after a delay of "
             f"{1e3 * max(found.total - found.lag, 0.0):.0f} ms."
         )
-    return Section("delay", "Delay", [text], charts=[chart] if chart else [])
+    return Section("delay", "Delay", [], [chart] if chart else [], [text])
 
 
 # --- the page -------------------------------------------------------------------------------------
 
+
+TEMPLATES = Environment(
+    loader=PackageLoader("uav_ident_ros.report"),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+TEMPLATES.tests["words"] = lambda heading: isinstance(heading, Words)
 
 EARLIEST_DATE_NS = 946_684_800_000_000_000
 """The year 2000, ns: earlier stamps count from the start of a computer and are no dates."""
@@ -168,17 +146,11 @@ def write_report(path: Path, replayed: Replayed) -> None:
 
 def render(sections: Sequence[Section], **content: Any) -> str:
     """Return a page with sections and their charts; `content` are further fields of the page."""
-    loader = PackageLoader("uav_ident_ros.report")
-    page = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    page.filters["sentence"] = _sentence
-    page.tests["words"] = lambda heading: isinstance(heading, Words)
     drawn, names = _embed([chart for section in sections for chart in section.charts])
-    return page.get_template("page.html").render(
+    return TEMPLATES.get_template("page.html").render(
         sections=sections,
         colors=COLORS,
-        style=page.get_template("style.css").render(),
         library="\n".join(Resources(mode="inline", components=["bokeh"]).js_raw),
-        script=page.get_template("charts.js").render(),
         drawn=drawn,
         names=names,
         **content,
@@ -187,7 +159,8 @@ def render(sections: Sequence[Section], **content: Any) -> str:
 
 def _embed(charts: Iterable[Chart]) -> tuple[str, dict[str, str]]:
     """Return the charts as JSON, and their names in it; both are the same in every run."""
-    document, roots = Document(), {chart.identity: chart.model for chart in charts}
+    style = yaml.safe_load(TEMPLATES.get_template("theme.yaml").render(colors=COLORS))
+    document, roots = Document(theme=Theme(json=style)), {c.identity: c.model for c in charts}
     with document.models.freeze():  # otherwise each root searches all models
         for model in roots.values():
             document.add_root(model)
@@ -211,8 +184,3 @@ def _facts(summary: Mapping[str, Any]) -> list[str]:
     if first_ns > EARLIEST_DATE_NS:
         facts.insert(0, f"{datetime.fromtimestamp(first_ns * NS, tz=UTC):%Y-%m-%d %H:%M} UTC")
     return facts
-
-
-def _sentence(text: str) -> str:
-    """Return a text with a capital at its beginning and a full stop at its end."""
-    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"

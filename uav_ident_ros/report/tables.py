@@ -17,7 +17,7 @@ from uav_ident_ros.identification.settings import declarations
 from uav_ident_ros.identification.structure import INPUTS
 from uav_ident_ros.offline.find import bag_files
 from uav_ident_ros.offline.tables import Number, Row, Table, Words
-from uav_ident_ros.report.diagrams import FLIGHT_SIGNALS, signals
+from uav_ident_ros.report.diagrams import signals
 from uav_ident_ros.report.flight import ReplayedFlight
 
 
@@ -30,11 +30,12 @@ def gates_table(lost: Mapping[str, float]) -> Table:
 
 def correlations_table(flight: ReplayedFlight) -> Table:
     """Return the correlations of all signals with the inputs."""
+    values = signals(flight)
     with np.errstate(invalid="ignore", divide="ignore"):  # NaN for constant signals
-        found = np.corrcoef(signals(flight).T)[:, : len(INPUTS)]
+        found = np.corrcoef([*values.values()])[:, : len(INPUTS)]
     rows = [
         Row(name, [Number(value, ".2f", shaded=True) for value in line])
-        for name, line in zip(FLIGHT_SIGNALS, found, strict=True)
+        for name, line in zip(values, found, strict=True)
     ]
     return Table("Correlation with the inputs", ("signal", *INPUTS), rows)
 
@@ -95,19 +96,7 @@ def origin_tables(bag: Path) -> Iterator[Table]:
     yield Table("Software", ("package", "version"), software)
 
 
-DIVERGENT_BELOW = -100.0
-"""Fit below which a model counts as divergent, percent."""
-
-
-def card(fit: Mapping[str, Any], axis: str) -> dict[str, Any]:
-    """Return a card: the fit of an axis as a bar, that of holding the rate as a mark."""
-    model, hold = fit["model"][axis], fit["hold"][axis]
-    share, mark = (min(max(value or 0.0, 0.0), 100.0) for value in (model, hold))
-    return {
-        "axis": f"{AXIS_WORDS[f'{axis}dot']}, {axis}",
-        "value": Number(model, ".1f"),
-        "diverges": model is not None and model < DIVERGENT_BELOW,
-        "share": f"{share:.1f}",
-        "mark": f"{mark:.1f}",
-        "hold": Number(hold, ".1f"),
-    }
+def card(fit: Mapping[str, Any], axis: str) -> tuple[str, Number, Number]:
+    """Return an axis in words, its fit, and that of holding the rate."""
+    model, hold = (Number(fit[kind][axis], ".1f") for kind in ("model", "hold"))
+    return f"{AXIS_WORDS[f'{axis}dot']}, {axis}", model, hold

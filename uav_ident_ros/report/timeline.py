@@ -6,25 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from bokeh.models import (
-    BoxZoomTool,
-    ColumnDataSource,
-    CrosshairTool,
-    HoverTool,
-    PanTool,
-    Range1d,
-    ResetTool,
-    SaveTool,
-    Span,
-    WheelZoomTool,
-)
+from bokeh import models
 from bokeh.plotting import figure
 
 from uav_ident_ros.identification.structure import FloatArray
 from uav_ident_ros.report.style import COLORS
-
-LEFT = 64
-"""Left margin for the labels, pixels, the same for all charts of a column."""
 
 WITH_BUTTONS = 200
 """Height from which a chart has buttons, pixels; lower ones move with it."""
@@ -35,63 +21,43 @@ AXIS_MARGIN = 0.08
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart on the page."""
+    """A chart on the page; its template has the explanations."""
 
     identity: str  # Unique on the page
     heading: str  # Heading above the chart
     model: Any  # The Bokeh figure
-    caption: str = ""  # Explanation below the chart
     legend: tuple[tuple[str, str], ...] = ()  # Names and their colours
     small: bool = False  # Whether several charts stand side by side
 
 
-def columns(values: Mapping[str, Any]) -> ColumnDataSource:
+def columns(values: Mapping[str, Any]) -> models.ColumnDataSource:
     """Return a data source in single precision, which halves the size of the page."""
-    return ColumnDataSource(
+    return models.ColumnDataSource(
         {name: np.asarray(column, dtype=np.float32) for name, column in values.items()}
     )
 
 
-def value_range(*values: FloatArray) -> Range1d:
+def value_range(*values: FloatArray) -> models.Range1d:
     """Return a range that holds all finite values."""
     every = np.concatenate([np.ravel(v) for v in values])
     every = every[np.isfinite(every)]
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 0.0)
     room = max(AXIS_MARGIN * (high - low), 1e-9)
-    return Range1d(low - room, high + room)
+    return models.Range1d(low - room, high + room)
 
 
 def plain_figure(height: int, along: str | None, unit: str, **options: Any) -> Any:
-    """Return an empty figure in the style of the page, with the labels of its axes."""
-    result = figure(
-        height=height,
-        sizing_mode="stretch_width",
-        min_border=2,
-        min_border_left=LEFT,
-        background_fill_color=None,
-        border_fill_color=None,
-        outline_line_color=None,
-        title=None,
-        tools="",
-        **options,
-    )
-    result.toolbar.logo = None
-    result.toolbar.autohide = True
-    result.grid.grid_line_color = COLORS["grid"]
-    result.axis.axis_line_color = result.axis.major_tick_line_color = COLORS["muted"]
-    result.axis.minor_tick_line_color = None
-    result.axis.major_label_text_color = result.axis.axis_label_text_color = COLORS["ink"]
-    result.axis.axis_label_text_font_style = "normal"
-    result.axis.axis_label_standoff = 2
+    """Return an empty figure with the labels of its axes; the page's theme has its style."""
+    result = figure(height=height, title=None, tools="", **options)
     result.xaxis.axis_label, result.yaxis.axis_label = along, unit
-    if isinstance(result.y_range, Range1d):
+    if isinstance(result.y_range, models.Range1d):
         result.yaxis.ticker.desired_num_ticks = 4
     return result
 
 
 def hover(chart: Any, drawn: Any, *tips: tuple[str, str], mode: str = "mouse") -> None:
     """Add tooltips to a drawn object: pairs of a label and a field."""
-    chart.add_tools(HoverTool(renderers=[drawn], mode=mode, tooltips=[*tips], visible=False))
+    chart.add_tools(models.HoverTool(renderers=[drawn], mode=mode, tooltips=[*tips], visible=False))
 
 
 class Timeline:
@@ -104,26 +70,26 @@ class Timeline:
     ) -> None:
         self.span = span
         self._restarts = restarts
-        self._range = Range1d(*span, bounds=span)
-        self._cross = Span(
+        self._range = models.Range1d(*span, bounds=span)
+        self._cross = models.Span(
             dimension="height", line_color=COLORS["muted"], line_dash="dashed", line_width=1
         )
 
     def figure(self, unit: str, height: int, **options: Any) -> Any:
         """Return an empty chart over time that pans and zooms with all others."""
         result = plain_figure(height, "time [s]", unit, x_range=self._range, **options)
-        pan, wheel = PanTool(dimensions="width"), WheelZoomTool(dimensions="width")
+        pan, wheel = models.PanTool(dimensions="width"), models.WheelZoomTool(dimensions="width")
         wheel.modifiers = {"ctrl": True}  # the bare wheel scrolls the page
-        result.add_tools(pan, wheel, CrosshairTool(overlay=self._cross))
+        result.add_tools(pan, wheel, models.CrosshairTool(overlay=self._cross))
         result.toolbar.active_drag, result.toolbar.active_scroll = pan, wheel
         if height < WITH_BUTTONS:
             result.toolbar_location = None
         else:
-            result.add_tools(BoxZoomTool(), ResetTool(), SaveTool())
+            result.add_tools(models.BoxZoomTool(), models.ResetTool(), models.SaveTool())
         result.min_border_right = 12
         for restart in self._restarts:
             result.add_layout(
-                Span(dimension="height", location=restart, line_dash="dotted", line_width=1)
+                models.Span(dimension="height", location=restart, line_dash="dotted", line_width=1)
             )
         return result
 
@@ -132,13 +98,13 @@ class Timeline:
         t: FloatArray,  # (k,) Times, s, rising
         signals: Mapping[str, FloatArray],  # Names and values, (k,) each
         bins: tuple[float, int],  # Bins per second, and at most
-    ) -> ColumnDataSource:
+    ) -> models.ColumnDataSource:
         """Return a data source of signals, thinned without losing a peak."""
         per_second, most = bins
         return columns(thin(t, signals, min(most, max(1, round(per_second * self.span[1])))))
 
     def line(
-        self, chart: Any, source: ColumnDataSource, column: str, color: str, **options: Any
+        self, chart: Any, source: models.ColumnDataSource, column: str, color: str, **options: Any
     ) -> tuple[str, str]:
         """Draw a column of a source over its column ``t``; return its entry in a legend.
 
@@ -162,10 +128,7 @@ def thin(
 ) -> dict[str, FloatArray]:
     """Return the smallest and the largest value of every column in every bin of time.
 
-    Returns
-    -------
-    dict
-        ``t`` and the columns, of one length; NaN between two pieces.
+    The result has ``t`` and the columns, of one length, with NaN between two pieces.
     """
     values = np.stack([np.asarray(column, dtype=float) for column in columns.values()], axis=1)
     gaps = np.flatnonzero(np.diff(t) > LONGEST_GAP) + 1  # the first samples after them
