@@ -388,16 +388,16 @@ class ModelError:
     def _saturated(self, losses: Losses) -> FloatArray:
         """Return the loss of each row by saturation, (3,).
 
-        If one input in ten saturates, at three sigma a saturation is more likely than none. Beside
-        inputs that saturate, another one does so as likely as not: then the likeliest loss counts.
+        If one input in ten saturates, at three sigma a saturation is more likely than none. Where
+        all others saturate, an input does so as likely as not: then its likeliest loss counts.
         """
         likely, sigma = losses.saturation
         sure = np.where(likely > SURE * sigma, likely - sigma, 0.0)
         if self._is_shown_by_force(losses):
             sure[_YAW] = sure[[_YAW, _SIDE_FORCE]].max()
         likely, sure = likely[: len(ROWS)], sure[: len(ROWS)]
-        beside = _OTHERS @ (losses.informative[: len(ROWS)] & (sure > 0.0)) > 0.0
-        return np.where(beside, np.maximum(sure, likely), sure)
+        saturates = losses.informative[: len(ROWS)] & (sure > 0.0)
+        return np.where(saturates | (_OTHERS @ ~saturates > 0.0), sure, likely)
 
     def _follow_servos(self, losses: Losses) -> None:
         """Take over backlash and slowness."""
