@@ -34,10 +34,16 @@ EXCITED, CHANGED = 60.0, 75.0
 """End of the excitation in the flights of ``old_knowledge``, and time of the failure, s."""
 
 FAILED = 50.0
-"""Time of the failure in the flights of ``jammed`` and ``slowing``, s."""
+"""Time of the (first) failure in ``jammed``, ``slowing``, ``fading`` and ``intermittent``, s."""
 
 COMMAND_RATE = 50.0
 """Rate of the commands, Hz."""
+
+FADING_TIME, LEFT = 40.0, 0.3
+"""Time in which a surface of ``fading`` loses its effect, s, and the effect that is left."""
+
+FLICKER_TIME, FLICKER = 3.0, 0.4
+"""Time between the changes of a surface in ``intermittent``, s, and its lower effect."""
 
 PEAK_TIME = 0.3
 """Time that a servo of ``slowing`` then needs for the peak of the excitation, s."""
@@ -203,14 +209,12 @@ def fly(
     elif aircraft == QUADROTOR:
         plan = QuadrotorFlight(segments, duration, 500.0, gusts=gusts, **own)
     else:
-        faults = [
-            Fault(
-                "jams" if jams else "effect", SURFACE_NAMES[INPUTS.index(name)],
-                None if jams else factor, change.time,
-            )
-            for change in changes
-            for name, factor in change.factors.items()
-        ]  # fmt: skip
+        faults, effect = [], dict.fromkeys(INPUTS, 1.0)
+        for change in changes:
+            for name, factor in change.factors.items():
+                effect[name] *= factor
+                what, left = SURFACE_NAMES[INPUTS.index(name)], None if jams else effect[name]
+                faults.append(Fault("jams" if jams else "effect", what, left, change.time))
         plan = AircraftFlight(
             segments, duration, 200.0, COMMAND_RATE, aircraft=aircraft, turbulence=int(wind),
             faults=faults, **own,
@@ -319,6 +323,34 @@ def _slowing(series: Series) -> Iterator[Trial]:
     ):
         label = f"servos of {', '.join(surfaces)} become slow"
         yield series.trial(aircraft, label, bank=20.0, wind=wind, slowing=surfaces)
+
+
+LOSING = (
+    ("light_aircraft", 0.3), ("c172p", 2), ("T37", 2), ("OV10", 2), ("J3Cub", 1),
+    ("ultra_stick_25e", 1),
+)  # fmt: skip
+"""Aircraft of the classes ``fading`` and ``intermittent``, and their wind."""
+
+
+def _fading(series: Series) -> Iterator[Trial]:
+    """Excitation, in which a surface slowly loses its effect, as by ice."""
+    for (aircraft, wind), surface in product(LOSING, ("de", "dr", "da")):
+        keep = {surface: LEFT ** (1.0 / FADING_TIME)}
+        changes = tuple(CoefficientChange(FAILED + k, keep) for k in range(round(FADING_TIME)))
+        label = f"{surface} fades to {LEFT:g}"
+        yield series.trial(aircraft, label, 130.0, bank=20.0, wind=wind, changes=changes)
+
+
+def _intermittent(series: Series) -> Iterator[Trial]:
+    """Excitation, in which most of a surface's effect comes and goes, as by a loose linkage."""
+    for (aircraft, wind), surface in product(LOSING, ("de", "da")):
+        times = np.arange(FAILED, 130.0, FLICKER_TIME).tolist()
+        changes = tuple(
+            CoefficientChange(t, {surface: 1.0 / FLICKER if k % 2 else FLICKER})
+            for k, t in enumerate(times)
+        )
+        label = f"{surface} x {FLICKER:g} and 1 in turn"
+        yield series.trial(aircraft, label, 130.0, bank=20.0, wind=wind, changes=changes)
 
 
 def _thinned(measured: Measurements) -> Measurements:
@@ -731,10 +763,10 @@ def _recorded(series: Series) -> Iterator[Trial]:
 CLASSES = {
     make.__name__.removeprefix("_"): make
     for make in (
-        _feedback, _old_knowledge, _changed, _jammed, _slowing, _unmodelled, _untold, _biased,
-        _imperfect, _weak, _glitch, _clean, _published, _in_turn, _partly, _unseen, _swaying,
-        _random, _closed_loop, _told_wrong, _warm, _launched, _blocked, _noisy_airspeed, _loaded,
-        _retrimmed, _mistakes, _reversed, _recorded,
+        _feedback, _old_knowledge, _changed, _jammed, _slowing, _fading, _intermittent, _unmodelled,
+        _untold, _biased, _imperfect, _weak, _glitch, _clean, _published, _in_turn, _partly,
+        _unseen, _swaying, _random, _closed_loop, _told_wrong, _warm, _launched, _blocked,
+        _noisy_airspeed, _loaded, _retrimmed, _mistakes, _reversed, _recorded,
     )
 }  # fmt: skip
 """Generator of the trials of each class."""
