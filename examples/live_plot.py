@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import suppress
+import signal
 from typing import Any
 
 import matplotlib
@@ -15,6 +15,7 @@ import numpy as np
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -68,10 +69,15 @@ def main() -> None:
         matplotlib.use("agg")
     from matplotlib import pyplot
 
-    rclpy.init()
+    # An exception by Ctrl-C may be lost in a callback of matplotlib: the loop looks at the signal.
+    ended: list[int] = []
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    signal.signal(signal.SIGINT, lambda number, _: ended.append(number))
     history = History(options.topic, options.name)
     figure, axes = pyplot.subplots()
-    while history.duration < options.seconds if options.save else pyplot.fignum_exists(1):
+    while not ended and (
+        history.duration < options.seconds if options.save else pyplot.fignum_exists(1)
+    ):
         rclpy.spin_once(history, timeout_sec=0.05)
         if not options.save:
             draw(axes, history, options.name)
@@ -84,5 +90,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    with suppress(KeyboardInterrupt):
-        main()
+    main()
