@@ -66,9 +66,7 @@ class LiveAircraft(Live):
         if fault.what in QUADROTOR.names:
             raise SimulationError(f"fault '{fault}': this aircraft has surfaces")
 
-    def apply(self, fault: Fault) -> None:
-        """Apply a fault now; see `Live.apply`."""
-        self.check(fault)
+    def _apply(self, fault: Fault) -> None:
         index = SURFACE_NAMES.index(fault.what) if fault.what in SURFACE_NAMES else 0
         match fault.kind:
             case "repaired":

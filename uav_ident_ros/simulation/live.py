@@ -126,6 +126,11 @@ class Live:
 
     def apply(self, fault: Fault) -> None:
         """Apply a fault now, after a `check`."""
+        self.check(fault)
+        self._apply(fault)
+
+    def _apply(self, fault: Fault) -> None:
+        """Apply a fault that the vehicle can have."""
         raise NotImplementedError
 
     def _answer(self, surfaces: FloatArray | None) -> FloatArray:

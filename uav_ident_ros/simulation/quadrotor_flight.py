@@ -130,9 +130,7 @@ class LiveQuadrotor(Live):
                 f"{', '.join(self.names)}, and 'repaired'"
             )
 
-    def apply(self, fault: Fault) -> None:
-        """Apply a fault now; see `Live.apply`."""
-        self.check(fault)
+    def _apply(self, fault: Fault) -> None:
         if fault.kind == "repaired":
             self.effect = [1.0] * len(self.names)
         else:
