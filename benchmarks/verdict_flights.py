@@ -65,6 +65,12 @@ IMPERFECT_AIRCRAFT = (
 )  # fmt: skip
 """Aircraft of the class ``imperfect``, which take turns, and their wind."""
 
+FAILING = (
+    ("light_aircraft", 0.3), ("c172p", 2), ("T37", 2), ("J3Cub", 1), ("ultra_stick_25e", 1),
+)  # fmt: skip
+"""Aircraft of ``slowing``, ``fading`` and ``intermittent``, and their wind; the last two also have
+an OV10."""
+
 LONG, SHORT = 1.0, 0.8
 """Relative length of the flights; `SHORT` still includes the failure and the glitch."""
 
@@ -317,24 +323,14 @@ class Slowing:
 
 def _slowing(series: Series) -> Iterator[Trial]:
     """Excitation, in which the servos of all surfaces or of one become slow."""
-    for (aircraft, wind), surfaces in product(
-        (("light_aircraft", 0.3), ("c172p", 2), ("T37", 2), ("J3Cub", 1), ("ultra_stick_25e", 1)),
-        (("de", "dr", "da"), ("de",), ("da",)),
-    ):
+    for (aircraft, wind), surfaces in product(FAILING, (("de", "dr", "da"), ("de",), ("da",))):
         label = f"servos of {', '.join(surfaces)} become slow"
         yield series.trial(aircraft, label, bank=20.0, wind=wind, slowing=surfaces)
 
 
-LOSING = (
-    ("light_aircraft", 0.3), ("c172p", 2), ("T37", 2), ("OV10", 2), ("J3Cub", 1),
-    ("ultra_stick_25e", 1),
-)  # fmt: skip
-"""Aircraft of the classes ``fading`` and ``intermittent``, and their wind."""
-
-
 def _fading(series: Series) -> Iterator[Trial]:
     """Excitation, in which a surface slowly loses its effect, as by ice."""
-    for (aircraft, wind), surface in product(LOSING, ("de", "dr", "da")):
+    for (aircraft, wind), surface in product((*FAILING, ("OV10", 2)), ("de", "dr", "da")):
         keep = {surface: LEFT ** (1.0 / FADING_TIME)}
         changes = tuple(CoefficientChange(FAILED + k, keep) for k in range(round(FADING_TIME)))
         label = f"{surface} fades to {LEFT:g}"
@@ -343,7 +339,7 @@ def _fading(series: Series) -> Iterator[Trial]:
 
 def _intermittent(series: Series) -> Iterator[Trial]:
     """Excitation, in which most of a surface's effect comes and goes, as by a loose linkage."""
-    for (aircraft, wind), surface in product(LOSING, ("de", "da")):
+    for (aircraft, wind), surface in product((*FAILING, ("OV10", 2)), ("de", "da")):
         times = np.arange(FAILED, 130.0, FLICKER_TIME).tolist()
         changes = tuple(
             CoefficientChange(t, {surface: 1.0 / FLICKER if k % 2 else FLICKER})
